@@ -7,8 +7,8 @@ import numpy as np
 
 from farfield.annotation.fitting import BoxFit, Prior, fit_click, fit_drag, prior_of, refit
 from farfield.frame import Boxes, Frame
+from farfield.geometry.boxes import box_coordinates_m, points_in_boxes
 from farfield.geometry.iou import paired_iou
-from farfield.geometry.points import box_coordinates_m, points_in_boxes
 from farfield.studio.annotating.fits import sensor_place
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 

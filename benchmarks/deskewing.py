@@ -18,7 +18,7 @@ from _report import header, progress
 
 from farfield.datasets.maps import LabelsAt
 from farfield.frame import Annotation, Frame
-from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes, points_in_boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes, points_in_boxes
 from farfield.geometry.poses import invert
 from farfield.simulation import simulate_sequence
 from farfield.simulation.labels import full_boxes

@@ -18,10 +18,8 @@ from jaxtyping import Float
 
 from farfield.datasets import open_dataset
 from farfield.odometry.drift import differences, way_m
-from farfield.odometry.drives import place
+from farfield.odometry.drives import DriveSweeps, OdometryTrack, SweepSettings, Turning, odometry, place
 from farfield.odometry.odometry import OdometrySettings
-from farfield.odometry.runs import OdometryTrack, odometry
-from farfield.odometry.sweeps import DriveSweeps, SweepSettings, Turning
 
 CLOUDS = {"cirrus-sim": ("gaussian", "uniform"), "kradar-sim": ("os2-64",)}
 TIMED = 20

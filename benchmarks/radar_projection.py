@@ -21,7 +21,7 @@ from farfield.figures.camera import box_lines
 from farfield.figures.style import ANNOTATED, INK, MUTED, figure_bytes, house_style, new_figure
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Cloud, Frame
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.geometry.poses import pose_from_yaw
 
 MARGIN_M = 0.5  # the radar measures a direction to about a degree: half a metre at 30 m

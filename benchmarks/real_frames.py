@@ -23,7 +23,7 @@ from farfield.api import load_detector, open_dataset
 from farfield.datasets.base import Dataset
 from farfield.figures.birds_eye import birdseye, fitting_window
 from farfield.frame import Boxes, Frame
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.metrics import score
 from farfield.metrics.centre import DdsSettings, ObjectIntervals, object_intervals
 

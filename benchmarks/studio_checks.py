@@ -43,8 +43,8 @@ from farfield.annotation.schema import fastest
 from farfield.datasets.labels import BoxLabel
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.geometry.points import count_points_in_boxes
 from farfield.simulation.sequence import simulate_frame
 from farfield.vocabulary.sizes import CIRRUS_SIZES_M, VEHICLE_KINDS
 

@@ -36,7 +36,7 @@ from farfield.annotation.fitting import prior_of
 from farfield.datasets import open_dataset
 from farfield.files.atomic import write_text
 from farfield.frame import Frame
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.radar.axes import KRADAR_AXES
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 

@@ -18,7 +18,7 @@ from _report import SHARED_REAL, header, progress
 from jaxtyping import Float, Int64
 
 from farfield.sync import StreamMatcher, drift_bound_ppm, fit_clock, match_blocks, match_times
-from farfield.sync.assignment import assign, cost_ns, nearest, windows
+from farfield.sync.matching import assign, cost_ns, nearest, windows
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000

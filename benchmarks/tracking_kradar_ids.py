@@ -17,7 +17,7 @@ from _report import SHARED_REAL, header
 from tracking_real import scored
 
 from farfield.metrics.detections import Detections
-from farfield.tracking import ANNOTATED, joined, preset, track
+from farfield.tracking import ANNOTATED, join_tracks, preset, track
 
 PARTS: dict[str, tuple[int, ...]] = {"all": (0, 1), "odd": (1,), "even": (0,)}
 ABSENCES_S = (0.35, 1.0, 3.0, 10.0, 30.0)
@@ -69,7 +69,7 @@ def block(name: str, truth: Detections) -> None:
     boxes = sum(len(each.boxes) for each in truth.annotations.values())
     print(f"\n== {name}: {boxes} boxes, {len(truth.annotations)} frames; `annotated`, then {ANNOTATED}")
     online = track(detected(truth, None), preset("annotated"))
-    tracked = {"annotated, online": online, "annotated, joined": joined(online, ANNOTATED)}
+    tracked = {"annotated, online": online, "annotated, joined": join_tracks(online, ANNOTATED)}
     for words, wanted in {"numbers": truth, "a number and a class each": class_identities(truth)}.items():
         print(f"identities: {words}\n  {'':5} {'boxes':>7} {'':22} {'IDF1':>6} {'HOTA':>6} {'AssA':>6} {'IDS':>6}")
         rows(wanted, tracked)

@@ -31,7 +31,7 @@ from _annotated_drives import (
 from _report import SHARED_REAL, header
 
 from farfield.metrics.detections import Detections
-from farfield.tracking import JoinSettings, joined, track
+from farfield.tracking import JoinSettings, join_tracks, track
 
 BINS_M = (0.0, 50.0, 100.0, 150.0, 250.0)
 LIDAR = Noise(range_sigma_m=0.1, azimuth_sigma_deg=0.1)
@@ -108,7 +108,7 @@ def real(name: str, of: Callable[[Path], Detections], noise: Noise, options: dic
         if identities(by_class) > identities(truth):
             words = f"{title}; {identities(by_class)} identities: an annotated number and a class"
             show(words, by_class, replace(tracks, annotations=by_class.annotations))
-            whole = replace(joined(tracks, JOINING), annotations=by_class.annotations)
+            whole = replace(join_tracks(tracks, JOINING), annotations=by_class.annotations)
             show(f"{words}; offline, joined: {JOINING}", by_class, whole)
     show(f"degraded ({described(noise)}), default", truth, track(detected(truth, noise)))
 

@@ -12,7 +12,7 @@ from _report import header
 from jaxtyping import Float
 
 from farfield.tracking import PRESETS
-from farfield.tracking.engine import DetectionBatch, TrackEngine
+from farfield.tracking.tracker import DetectionBatch, TrackEngine
 
 TRACKS, STEPS = 30, 200
 

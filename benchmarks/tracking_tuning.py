@@ -19,8 +19,7 @@ from farfield.frame.drive import Key
 from farfield.metrics.detections import Detections
 from farfield.metrics.reading import read
 from farfield.tracking import track
-from farfield.tracking.selecting import with_track_score
-from farfield.tracking.smoothing import smoothed
+from farfield.tracking.offline import smooth_tracks, with_track_score
 
 TUNED = ("0000", "0002", "0003", "0004", "0005")
 GRID: dict[str, tuple[Any, ...]] = {
@@ -58,7 +57,7 @@ def hota(tracks: Detections, cut: float | None = None) -> float:
 
 def offline(found: Detections, **changes: Any) -> Detections:
     """Tracks of the offline preset, smoothed."""
-    return smoothed(track(found, "offline", **changes))
+    return smooth_tracks(track(found, "offline", **changes))
 
 
 def search(tune: Detections, cut: float) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from farfield import cli
-from farfield.sync.tables import read_match_table
+from farfield.sync.synchronising import read_match_table
 
 START = 1_700_000_000_000_000_000
 

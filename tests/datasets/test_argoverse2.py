@@ -6,7 +6,7 @@ import pytest
 from farfield.datasets import open_dataset
 from farfield.datasets.argoverse2 import Argoverse2, read_feather
 from farfield.errors import DatasetError, FileFormatError, MissingExtraError
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 
 pytest.importorskip("pyarrow")
 

@@ -14,7 +14,7 @@ from farfield.datasets.labels import label_format
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError
 from farfield.files.pcd import write_pcd
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.testing import check_dataset
 
 POSE = "<item><tx>{x}</tx><ty>2</ty><tz>-1.75</tz><rx>0</rx><ry>0</ry><rz>0.5235987755982988</rz></item>"

@@ -10,8 +10,7 @@ from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti, KittiWriter
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.kitti import read_calib, read_labels
 from farfield.frame import Boxes, Camera, Cloud, Frame
-from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
-from farfield.geometry.image_boxes import image_boxes
+from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES, image_boxes
 from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
 from farfield.geometry.poses import pose, rotation_from_quaternion
 

@@ -8,7 +8,7 @@ import pytest
 from farfield.api import open_dataset
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.kitti_raw import read_raw_calib, read_record
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 
 DRIVE = "2011_09_26/2011_09_26_drive_0009_sync"
 RECORD = [49.0, 8.4, 116.0, 0.0, 0.0, np.pi / 2, *[0.0] * 24]

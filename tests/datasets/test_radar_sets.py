@@ -10,7 +10,7 @@ import pytest
 from farfield.api import open_dataset
 from farfield.datasets import Dataset
 from farfield.errors import FileFormatError
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 
 COLUMNS = "X Y Z V_r Mag"
 

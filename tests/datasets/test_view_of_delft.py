@@ -15,7 +15,7 @@ from farfield.datasets.view_of_delft.reader import ViewOfDelft, boxes_from_label
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.kitti import read_calib, read_labels
 from farfield.files.view_of_delft import read_camera_poses, read_objects
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.geometry.poses import transform_points
 
 FRAMES = ("00549", "01047")

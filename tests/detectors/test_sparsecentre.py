@@ -29,7 +29,7 @@ from farfield.detectors.sparsecentre.network import (
     merge_heights,
 )
 from farfield.frame import Boxes, Cloud
-from farfield.geometry.points import points_in_boxes
+from farfield.geometry.boxes import points_in_boxes
 
 SMALL = SparseCentreConfig(
     grid=VoxelGridConfig(range_m=64.0, half_width_m=20.0, z_min_m=-4.0, z_max_m=4.0, cell_m=(0.4, 0.4, 0.5)),

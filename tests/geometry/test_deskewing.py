@@ -8,8 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
-from farfield.geometry.deskewing import exponential, logarithm
-from farfield.geometry.poses import pose_from_yaw, transform_points
+from farfield.geometry.poses import exponential, logarithm, pose_from_yaw, transform_points
 from farfield.sync import PoseTrack, deskew, deskew_boxes
 
 twists = arrays(np.float64, (3, 6), elements=st.floats(-1.5, 1.5))

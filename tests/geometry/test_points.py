@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.geometry.boxes import Boxes
-from farfield.geometry.points import box_coordinates_m, count_points_in_boxes, inside_box, points_in_boxes
+from farfield.geometry.boxes import Boxes, box_coordinates_m, count_points_in_boxes, inside_box, points_in_boxes
 from farfield.geometry.poses import invert, pose_from_yaw, transform_points, yaw_from_quaternion
 
 

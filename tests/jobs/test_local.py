@@ -13,9 +13,8 @@ import pytest
 from farfield.errors import ConfigError, FileFormatError
 from farfield.jobs import ENGINES, HERE, BulkError, JobJournal, JobOptions, Unit, run, values
 from farfield.jobs.local import LocalEngine
-from farfield.jobs.memory import available_bytes, fitting
-from farfield.jobs.signals import ended_by_sigterm
-from farfield.jobs.threads import VARIABLES, one_thread
+from farfield.jobs.process import VARIABLES, ended_by_sigterm, one_thread
+from farfield.jobs.runs import available_bytes, fitting
 from jobs import works
 
 UNITS = [Unit(str(number), parameters=number) for number in range(24)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from blocks_of_houses import drive
 
-from farfield.geometry.deskewing import exponential, logarithm
+from farfield.geometry.poses import exponential, logarithm
 from farfield.odometry.drift import differences, drift_of
 from farfield.odometry.drives import place
 from farfield.odometry.odometry import OdometrySweep

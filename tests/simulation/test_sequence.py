@@ -9,8 +9,8 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.frame import Frame
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.geometry.points import count_points_in_boxes
 from farfield.geometry.poses import transform_points
 from farfield.simulation import find_preset, simulate_frame, simulate_sequence
 from farfield.simulation.bodies.actors import CLASSES

@@ -5,8 +5,7 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.sync import drift_bound_ppm, fit_clock
-from farfield.sync.clocks import unwrapped
-from farfield.sync.lines import huber, lower_hull, theil_sen
+from farfield.sync.clocks import huber, lower_hull, theil_sen, unwrapped
 
 DRIFT, OFFSET_NS = 7e-6, 3_000_000
 

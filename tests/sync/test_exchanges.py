@@ -7,7 +7,7 @@ import pytest
 
 from farfield.errors import ConfigError
 from farfield.files.clock_logs import read_clock_log
-from farfield.sync.exchange import summarised, two_way
+from farfield.sync.clocks import summarised, two_way
 
 
 def test_exchanges_tell_offset_and_delay_apart(rng: np.random.Generator) -> None:

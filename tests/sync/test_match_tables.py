@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from farfield.sync import match_blocks
-from farfield.sync.tables import match_table, read_match_table
+from farfield.sync.synchronising import match_table, read_match_table
 
 
 def test_rows_names_and_empty_cells(tmp_path: Path) -> None:

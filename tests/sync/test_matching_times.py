@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from farfield.errors import ConfigError
-from farfield.sync import StreamMatcher, assignment, blocks, match_blocks, match_times
-from farfield.sync.assignment import assign, cost_ns, nearest, windows
+from farfield.sync import StreamMatcher, match_blocks, match_times, matching, streaming
+from farfield.sync.matching import assign, cost_ns, nearest, windows
 
 small = st.lists(st.integers(0, 60), max_size=9, unique=True).map(sorted)
 
@@ -90,12 +90,12 @@ def test_compiled_and_plain_program_agree(rng: np.random.Generator, monkeypatch:
     pytest.importorskip("numba")
     a, b = stream(rng, 10, 100), stream(rng, 10, 100, 0.5)
     plain = assign(a, b, 80_000_000)
-    monkeypatch.setattr(assignment, "_COMPILED_FROM", 0)
+    monkeypatch.setattr(matching, "_COMPILED_FROM", 0)
     assert assign(a, b, 80_000_000).tolist() == plain.tolist()
 
 
 def test_too_many_candidates_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(assignment, "MAX_CELLS", 100)
+    monkeypatch.setattr(matching, "MAX_CELLS", 100)
     with pytest.raises(ConfigError, match="smaller tolerance"):
         assign(array(range(50)), array(range(0, 100, 2)), 20)
 
@@ -135,7 +135,7 @@ def test_blocks_give_what_the_whole_gives(block: int, jitter_ms: float, rng: np.
 
 
 def test_endless_clusters_are_cut_in_blocks_too(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(blocks, "LONGEST", 50)
+    monkeypatch.setattr(streaming, "LONGEST", 50)
     a, b = np.arange(2000) * 100 + rng.integers(0, 60, 2000), np.arange(2000) * 100 + 50 + rng.integers(0, 60, 2000)
     parts = match_blocks(
         {"a": (a[k : k + 20] for k in range(0, 2000, 20)), "b": iter([b])}, reference="a", tolerance_ns=120

@@ -9,9 +9,8 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.poses import pose_from_yaw
 from farfield.metrics.detections import Detections
 from farfield.tracking import TrackerSettings, track
-from farfield.tracking.doppler import covariance, radial_gaps, update_doppler
-from farfield.tracking.engine import DetectionBatch, TrackEngine
-from farfield.tracking.kalman import Tracks
+from farfield.tracking.kalman import Tracks, covariance, radial_gaps, update_doppler
+from farfield.tracking.tracker import DetectionBatch, TrackEngine
 
 SPAN = 3.865
 RADAR = TrackerSettings(
@@ -70,25 +69,27 @@ def test_the_coupled_filter_is_that_of_plain_matrices() -> None:
         gain = p @ row / (row @ p @ row + 0.01)
         state, p = state + gain * (speed - u @ v), p - np.outer(gain, row @ p)
         tracks = engine.tracks
-        np.testing.assert_allclose(np.r_[tracks.place_m[0, :2], tracks.speed[0, :2]], state[[0, 2, 1, 3]], atol=1e-8)
+        np.testing.assert_allclose(
+            np.r_[tracks.position_m[0, :2], tracks.velocity[0, :2]], state[[0, 2, 1, 3]], atol=1e-8
+        )
         np.testing.assert_allclose(covariance(tracks, np.array([0]))[0], p, atol=1e-8)
         assert len(shown) == 1
 
 
 def test_one_measurement_gives_the_radial_velocity_and_leaves_the_other() -> None:
     tracks = born(np.array([[100.0, 0.0], [0.0, 80.0]]), doppler=np.array([-7.0, 5.0]))
-    np.testing.assert_allclose(tracks.speed[:, :2], [[-7, 0], [0, 5]], atol=1e-2)
+    np.testing.assert_allclose(tracks.velocity[:, :2], [[-7, 0], [0, 5]], atol=1e-2)
     sure = 1 / (1 / 100 + 1 / 0.01)
-    np.testing.assert_allclose(tracks.vv[:, :2], [[sure, 100], [100, sure]], rtol=1e-6)
+    np.testing.assert_allclose(tracks.velocity_var[:, :2], [[sure, 100], [100, sure]], rtol=1e-6)
     unknown = born(np.array([[100.0, 0.0]]), doppler=np.array([np.nan]))
-    assert unknown.vv[0, 0] == 100
+    assert unknown.velocity_var[0, 0] == 100
 
 
 def test_the_sensors_own_velocity_is_taken_off() -> None:
     tracks = born(np.array([[100.0, 0.0]]))
     radial = np.array([[1.0, 0, 0, 20, 0, 0, -20]])
     update_doppler(tracks, np.array([0]), radial, np.array([100.0]), sigma_m_s=0.1)
-    assert tracks.speed[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert tracks.velocity[0, 0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_innovations_are_wrapped_and_unsure_tracks_take_nothing() -> None:
@@ -96,14 +97,14 @@ def test_innovations_are_wrapped_and_unsure_tracks_take_nothing() -> None:
     wrapped = (10.3 + SPAN / 2) % SPAN - SPAN / 2
     radial = np.array([[1.0, 0, 0, 0, 0, 0, wrapped]])
     update_doppler(tracks, one, radial, at, sigma_m_s=0.1, span_m_s=SPAN)
-    assert tracks.speed[0, 0] == 0.0
-    tracks.speed[0, 0], tracks.vv[0] = 9.6, 0.5
+    assert tracks.velocity[0, 0] == 0.0
+    tracks.velocity[0, 0], tracks.velocity_var[0] = 9.6, 0.5
     update_doppler(tracks, one, radial, at, sigma_m_s=0.1, span_m_s=SPAN)
-    assert tracks.speed[0, 0] == pytest.approx(10.3, abs=0.05)
+    assert tracks.velocity[0, 0] == pytest.approx(10.3, abs=0.05)
     # Half a span away counts upwards: the innovation lies in (-span/2, span/2].
-    tracks.speed[0, 0], tracks.vv[0] = 0.0, 0.5
+    tracks.velocity[0, 0], tracks.velocity_var[0] = 0.0, 0.5
     update_doppler(tracks, one, np.array([[1.0, 0, 0, 0, 0, 0, -SPAN / 2]]), at, sigma_m_s=0.1, span_m_s=SPAN)
-    assert tracks.speed[0, 0] > 1.8
+    assert tracks.velocity[0, 0] > 1.8
 
 
 def velocity_errors(*, doppler: bool, trials: int = 400, updates: int = 20) -> np.ndarray:
@@ -122,7 +123,7 @@ def velocity_errors(*, doppler: bool, trials: int = 400, updates: int = 20) -> n
         radial = (unit * speed).sum(axis=1) + rng.normal(0, 0.1, trials)
         engine.step(seen(measured, radial if doppler else None), np.full(trials, 0.1), np.ones(trials, dtype=bool))
         assert len(engine.tracks) == trials
-        errors.append(np.sqrt(np.mean((engine.tracks.speed[:, 0] - speed[:, 0]) ** 2)))
+        errors.append(np.sqrt(np.mean((engine.tracks.velocity[:, 0] - speed[:, 0]) ** 2)))
         place = place + 0.1 * speed
     return np.array(errors)
 
@@ -202,7 +203,7 @@ def test_radial_gaps_are_wrapped_and_unknown_ones_pass() -> None:
     place = np.array([[100.0, 0], [100, 0], [100, 0]])
     engine.step(seen(place, np.array([5.0, 5.0, 5.0])), np.zeros(3), np.ones(3, dtype=bool))
     tracks, rows = engine.tracks, np.arange(3)
-    tracks.vv[:] = 0.01
+    tracks.velocity_var[:] = 0.01
     radial = np.column_stack([np.tile([1.0, 0, 0, 0, 0, 0], (3, 1)), [5.0, 5.0 + SPAN, np.nan]])
     plain = radial_gaps(tracks, radial, rows, rows, sigma_m_s=0.1)
     assert plain[0] == pytest.approx(0.0, abs=0.5)
@@ -210,5 +211,5 @@ def test_radial_gaps_are_wrapped_and_unknown_ones_pass() -> None:
     assert plain[2] == 0.0
     wrapped = radial_gaps(tracks, radial, rows, rows, sigma_m_s=0.1, span_m_s=SPAN)
     assert wrapped[1] == pytest.approx(plain[0], abs=1e-6)
-    tracks.vv[:] = 100.0
+    tracks.velocity_var[:] = 100.0
     assert (radial_gaps(tracks, radial, rows, rows, sigma_m_s=0.1, span_m_s=SPAN) == 0).all()

@@ -10,7 +10,7 @@ from farfield.frame import Drive
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.detections import Detections
 from farfield.tracking import track
-from farfield.tracking.joining import ANNOTATED, JoinSettings, joined
+from farfield.tracking.offline import ANNOTATED, JoinSettings, join_tracks
 
 FRAMES = 80
 
@@ -42,7 +42,7 @@ CAR = (range(30), 0.0, 0.0, 10.0, 4.5, "car")
 
 def test_a_car_that_was_hidden_for_three_seconds_is_one() -> None:
     seen = drive(CAR, (range(60, 80), 4.0, 1.0, 10.0, 4.6, "car"))
-    found = joined(seen)
+    found = join_tracks(seen)
     assert names(seen) == [0, 1]
     assert names(found) == [0]
     for key, part in seen.boxes.items():
@@ -60,14 +60,14 @@ def test_a_car_that_was_hidden_for_three_seconds_is_one() -> None:
     ],
 )
 def test_what_is_something_else_stays_so(other: tuple, settings: JoinSettings) -> None:
-    assert names(joined(drive(CAR, other), settings)) == [0, 1]
+    assert names(join_tracks(drive(CAR, other), settings)) == [0, 1]
 
 
 def test_the_pairs_of_a_drive_are_chosen_together() -> None:
     """Both ends are near the first begin; only the crossing-free assignment serves both."""
     one, two = (range(30), 0.0, 0.0, 10.0, 4.5, "car"), (range(30), 0.0, 3.0, 10.0, 4.5, "car")
     seen = drive(one, two, (range(50, 80), 0.0, 2.0, 10.0, 4.5, "car"), (range(50, 80), 0.0, 5.0, 10.0, 4.5, "car"))
-    found = joined(seen)
+    found = join_tracks(seen)
     assert found.boxes["a", "60"].track_id is not None
     assert dict(zip(found.boxes["a", "60"].centre_m[:, 1], found.boxes["a", "60"].track_id, strict=True)) == {
         2: 0,
@@ -81,8 +81,8 @@ def test_three_parts_become_one_and_single_boxes_have_no_speed() -> None:
         (range(30, 31), 0.0, 0.0, 10.0, 4.5, "car"),
         (range(50, 80), 0.0, 0.0, 10.0, 4.5, "car"),
     )
-    assert names(joined(seen)) == [0]
-    assert names(joined(drive())) == []
+    assert names(join_tracks(seen)) == [0]
+    assert names(join_tracks(drive())) == []
 
 
 def test_with_poses_places_are_compared_in_the_world() -> None:
@@ -95,8 +95,8 @@ def test_with_poses_places_are_compared_in_the_world() -> None:
     moved = replace(
         seen, drives=(Drive(name="a", keys=keys, indices=np.arange(FRAMES), times_ns=times, world_T_frame=poses),)
     )
-    assert names(joined(seen)) == [0]
-    assert names(joined(moved)) == [0, 1]
+    assert names(join_tracks(seen)) == [0]
+    assert names(join_tracks(moved)) == [0, 1]
 
 
 def test_impossible_settings_are_refused() -> None:
@@ -121,22 +121,22 @@ def test_sizes_are_compared_at_the_ends() -> None:
     seen = drive(CAR, (range(60, 80), 0.0, 0.0, 10.0, 4.5, "car"))
     exact = JoinSettings(size=0.001, size_boxes=8)
     grown = changed(seen, range(20), size_m=np.array([[5.2, 2.0, 1.5]]))
-    assert names(joined(grown, exact)) == [0]
-    assert names(joined(grown, replace(exact, size_boxes=None))) == [0, 1]
-    assert names(joined(changed(seen, range(22, 30), size_m=np.array([[4.6, 2.0, 1.5]])), exact)) == [0, 1]
+    assert names(join_tracks(grown, exact)) == [0]
+    assert names(join_tracks(grown, replace(exact, size_boxes=None))) == [0, 1]
+    assert names(join_tracks(changed(seen, range(22, 30), size_m=np.array([[4.6, 2.0, 1.5]])), exact)) == [0, 1]
 
 
 def test_classes_are_compared_at_the_ends() -> None:
     """A van that was a car in its first frames is the van that comes back, and no car."""
     back = (range(60, 80), 0.0, 0.0, 10.0, 4.5)
-    assert names(joined(changed(drive(CAR, (*back, "van")), range(10, 30), label=["van"]))) == [0]
-    assert names(joined(changed(drive(CAR, (*back, "car")), range(10, 30), label=["van"]))) == [0, 1]
+    assert names(join_tracks(changed(drive(CAR, (*back, "van")), range(10, 30), label=["van"]))) == [0]
+    assert names(join_tracks(changed(drive(CAR, (*back, "car")), range(10, 30), label=["van"]))) == [0, 1]
 
 
 def test_boxes_that_people_drew_are_joined_by_their_size_over_long_absences() -> None:
     """Away for 3 s and turned off: 14 m from where it would have come to, and of just the size of one of the two."""
     seen = drive(CAR, (range(60, 80), 4.0, 14.0, 10.0, 4.5, "car"), (range(60, 80), 0.0, 2.0, 10.0, 4.55, "car"))
-    found = joined(seen, ANNOTATED).boxes["a", "60"]
+    found = join_tracks(seen, ANNOTATED).boxes["a", "60"]
     assert found.track_id is not None
     assert dict(zip(found.centre_m[:, 1], found.track_id.tolist(), strict=True)) == {14.0: 0, 2.0: 2}
 
@@ -147,7 +147,7 @@ def test_the_preset_for_drawn_boxes_tracks_a_box_through_a_slip_of_its_class() -
     boxes = {key: part.replace(track_id=None) for key, part in seen.boxes.items()}
     boxes |= {("a", str(frame)): boxes["a", "0"][:0] for frame in (20, 21)}
     found = replace(seen, boxes=boxes)
-    assert len(names(joined(track(found, "unposed", min_hits=1), ANNOTATED))) > 1
+    assert len(names(join_tracks(track(found, "unposed", min_hits=1), ANNOTATED))) > 1
     online = track(found, "annotated")
     assert len(names(online)) == 2
-    assert len(names(joined(online, ANNOTATED))) == 1
+    assert len(names(join_tracks(online, ANNOTATED))) == 1

@@ -5,7 +5,7 @@ import pytest
 
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.detections import Detections
-from farfield.tracking.smoothing import smooth_places, smoothed
+from farfield.tracking.offline import smooth_positions, smooth_tracks
 
 
 def test_it_is_the_least_squares_of_the_whole_track() -> None:
@@ -28,7 +28,7 @@ def test_it_is_the_least_squares_of_the_whole_track() -> None:
             rows += list(np.linalg.inv(np.linalg.cholesky(q)) @ move)
             values += [0.0, 0.0]
     wanted = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0].reshape(n, 2)
-    place, speed, _ = smooth_places(seen, step, variance, white)
+    place, speed, _ = smooth_positions(seen, step, variance, white)
     np.testing.assert_allclose(place[:, 0], wanted[:, 0], atol=1e-4)
     np.testing.assert_allclose(speed[:, 0], wanted[:, 1], atol=1e-3)
 
@@ -38,7 +38,7 @@ def test_errors_and_covariances_fall() -> None:
     time = np.arange(60) * 0.1
     true = np.column_stack([10 + 8 * time + 0.3 * time**2, 2 * np.sin(0.3 * time)])
     seen = true + rng.normal(0, 0.2, true.shape)
-    place, speed, covariance = smooth_places(seen, np.full(60, 0.1), 0.04, 1.0)
+    place, speed, covariance = smooth_positions(seen, np.full(60, 0.1), 0.04, 1.0)
     assert np.sqrt(((place - true) ** 2).mean()) < 0.75 * np.sqrt(((seen - true) ** 2).mean())
     assert (covariance[:, 0] <= 0.04).all()
     assert np.abs(speed[5:-5, 0] - (8 + 0.6 * time[5:-5])).max() < 1.0
@@ -61,7 +61,7 @@ def followed(xs: list[float | None], yaws: list[float] | None = None) -> Detecti
 
 def test_gaps_are_filled_sizes_are_one_and_flips_are_mended() -> None:
     found = followed([10.0, 11.0, None, 13.0, 14.0, 15.0], [0.0, np.pi - 0.01, 0.0, 0.02, 0.01, -0.02])
-    result = smoothed(found)
+    result = smooth_tracks(found)
     assert [len(boxes) for boxes in result.boxes.values()] == [1] * 6
     filled = result.boxes["a", "2"]
     assert filled.centre_m[0, 0] == pytest.approx(12.0, abs=0.05)
@@ -70,11 +70,11 @@ def test_gaps_are_filled_sizes_are_one_and_flips_are_mended() -> None:
     sizes = np.array([boxes.size_m[0, 0] for boxes in result.boxes.values()])
     np.testing.assert_allclose(sizes, sizes[0])
     assert all(abs(boxes.yaw_rad[0]) < 0.1 for boxes in result.boxes.values())
-    apart = smoothed(followed([10.0, *[None] * 15, 11.0]))
+    apart = smooth_tracks(followed([10.0, *[None] * 15, 11.0]))
     assert sum(map(len, apart.boxes.values())) == 2
 
 
 def test_a_track_of_one_box_stays() -> None:
-    result = smoothed(followed([10.0]))
+    result = smooth_tracks(followed([10.0]))
     assert result.boxes["a", "0"].centre_m.tolist() == [[10.0, 0.0, 0.0]]
     assert np.isnan(result.boxes["a", "0"].velocity_m_s).all()  # type: ignore[arg-type]

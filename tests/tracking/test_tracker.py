@@ -16,10 +16,8 @@ from farfield.geometry.iou import paired_iou
 from farfield.geometry.poses import pose_from_yaw
 from farfield.metrics.detections import Detections
 from farfield.tracking import PRESETS, TrackerSettings, track, with_options
-from farfield.tracking.association import associate
-from farfield.tracking.engine import DetectionBatch, TrackEngine
-from farfield.tracking.similarity import hull_area_m2, iou_3d, rows_of
-from farfield.tracking.whole import best_whole
+from farfield.tracking.association import assign_giou, associate, hull_area_m2, iou_3d
+from farfield.tracking.tracker import DetectionBatch, TrackEngine
 
 
 def random_boxes(rng: np.random.Generator, n: int, spread_m: float = 4.0) -> Boxes:
@@ -60,16 +58,16 @@ def test_hulls_are_those_of_qhull_whatever_the_points() -> None:
 def test_overlaps_are_the_exact_ones_and_the_general_one_is_below() -> None:
     rng = np.random.default_rng(1)
     a, b = random_boxes(rng, 300), random_boxes(rng, 300)
-    np.testing.assert_allclose(iou_3d(rows_of(a), rows_of(b)), paired_iou(a, b), atol=1e-12)
-    general = iou_3d(rows_of(a), rows_of(b), generalised=True)
+    np.testing.assert_allclose(iou_3d(a.to_numpy(), b.to_numpy()), paired_iou(a, b), atol=1e-12)
+    general = iou_3d(a.to_numpy(), b.to_numpy(), generalised=True)
     assert (general <= paired_iou(a, b) + 1e-12).all()
     assert (general > -1).all()
-    np.testing.assert_allclose(iou_3d(rows_of(a), rows_of(a), generalised=True), 1.0)
+    np.testing.assert_allclose(iou_3d(a.to_numpy(), a.to_numpy(), generalised=True), 1.0)
 
 
 def test_the_gate_by_centres_loses_no_pair() -> None:
     rng = np.random.default_rng(4)
-    a, b = rows_of(random_boxes(rng, 120, spread_m=15.0)), rows_of(random_boxes(rng, 120, spread_m=15.0))
+    a, b = random_boxes(rng, 120, spread_m=15.0).to_numpy(), random_boxes(rng, 120, spread_m=15.0).to_numpy()
     drive, gate = np.arange(120), np.full(1, -0.5)
     label = np.zeros(120, dtype=np.int64)
     for least in (-0.8, -0.5, -0.2, 0.1):
@@ -82,13 +80,15 @@ def test_the_gate_by_centres_loses_no_pair() -> None:
 def test_the_assignment_by_bounds_is_that_of_all_pairs(gate: float) -> None:
     rng = np.random.default_rng(8)
     for spread_m, n, m in ((6.0, 7, 12), (30.0, 12, 7), (60.0, 20, 20), (200.0, 5, 9), (30.0, 0, 3)):
-        parts = [(rows_of(random_boxes(rng, n, spread_m)), rows_of(random_boxes(rng, m, spread_m))) for _ in range(20)]
+        parts = [
+            (random_boxes(rng, n, spread_m).to_numpy(), random_boxes(rng, m, spread_m).to_numpy()) for _ in range(20)
+        ]
         of_tracks, of_seen = (np.concatenate([part[side] for part in parts]) for side in (0, 1))
         # Half of the detections are the tracks' own, as in a drive, so that most pairs are plain.
         own = slice(0, min(n, m) * 10)
         of_seen[own, :2] = of_tracks[own, :2] + rng.normal(0, 0.3, (min(n, m) * 10, 2))
         drive = np.repeat(np.arange(20), n), np.repeat(np.arange(20), m)
-        a, b = best_whole(of_tracks, drive[0], of_seen, drive[1], 21, np.full(20 * m, gate))
+        a, b = assign_giou(of_tracks, drive[0], of_seen, drive[1], 21, np.full(20 * m, gate))
         for place in range(20):
             one, other = of_tracks[drive[0] == place], of_seen[drive[1] == place]
             whole = iou_3d(np.repeat(one, m, axis=0), np.tile(other, (n, 1)), generalised=True).reshape(n, m)
@@ -101,11 +101,11 @@ def test_the_assignment_by_bounds_is_that_of_all_pairs(gate: float) -> None:
 
 def test_many_drives_are_assigned_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(9)
-    rows, others = rows_of(random_boxes(rng, 60, 20.0)), rows_of(random_boxes(rng, 60, 20.0))
+    rows, others = random_boxes(rng, 60, 20.0).to_numpy(), random_boxes(rng, 60, 20.0).to_numpy()
     drive, gate = np.repeat(np.arange(6), 10), np.full(60, -1.0)
-    whole = best_whole(rows, drive, others, drive, 6, gate)
-    monkeypatch.setattr("farfield.tracking.whole._MOST_CELLS", 200)
-    pieces = best_whole(rows, drive, others, drive, 6, gate)
+    whole = assign_giou(rows, drive, others, drive, 6, gate)
+    monkeypatch.setattr("farfield.tracking.association._MOST_CELLS", 200)
+    pieces = assign_giou(rows, drive, others, drive, 6, gate)
     assert sorted(zip(*map(np.ndarray.tolist, whole), strict=True)) == sorted(
         zip(*map(np.ndarray.tolist, pieces), strict=True)
     )
@@ -126,7 +126,7 @@ def test_the_closed_form_is_the_filter_of_ten_by_ten_matrices() -> None:
             state, p = state + gain @ (row - h @ state), p - gain @ h @ p
         assert len(shown) == 1
         np.testing.assert_allclose(
-            np.r_[shown.place_m[0], shown.size_m[0], shown.yaw_rad[0], shown.speed[0]], state, atol=1e-9
+            np.r_[shown.position_m[0], shown.size_m[0], shown.yaw_rad[0], shown.velocity[0]], state, atol=1e-9
         )
 
 

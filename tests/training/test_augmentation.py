@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("torch")
 
 from farfield.frame import Boxes
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.training.augmentation import augment
 from farfield.training.bank import ObjectBank, cut_out, draw
 from farfield.training.config import AugmentationConfig

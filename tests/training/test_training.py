@@ -26,7 +26,7 @@ from farfield.errors import ConfigError, FileFormatError
 from farfield.experiments.catalogue import shipped
 from farfield.experiments.schema import dump_experiment, load_experiment
 from farfield.frame import Boxes
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 from farfield.simulation.recording import record
 from farfield.training.augmentation import augment
 from farfield.training.bank import SAMPLES_PER_FRAME, ObjectBank, cut_out

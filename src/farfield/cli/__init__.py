@@ -91,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     if verb not in VERBS:
         print(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}", file=sys.stderr)
         return 2
-    from farfield.jobs.signals import ended_by_sigterm
+    from farfield.jobs.process import ended_by_sigterm
 
     try:
         with ended_by_sigterm():

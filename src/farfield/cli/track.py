@@ -71,11 +71,10 @@ def run(
     from farfield.figures.style import check_picture
     from farfield.figures.trails import write_trails
     from farfield.metrics.reading import read_predictions
-    from farfield.tracking import joined, joining_of, track, with_options
+    from farfield.tracking import join_settings, join_tracks, track, with_options
     from farfield.tracking import preset as preset_of
-    from farfield.tracking.placing import with_drives
-    from farfield.tracking.selecting import with_track_score
-    from farfield.tracking.smoothing import smoothed
+    from farfield.tracking.offline import smooth_tracks, with_track_score
+    from farfield.tracking.timeline import with_drives
     from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 
     given: dict[str, Any] = {"step_s": step_s, "least_score": least_score, "doppler_span_m_s": doppler_span_m_s}
@@ -100,9 +99,9 @@ def run(
         return 0
     found = track(seen, settings)
     if join_s is not None:
-        found = joined(found, replace(joining_of(preset), longest_s=join_s), step_s=settings.step_s)
+        found = join_tracks(found, replace(join_settings(preset), longest_s=join_s), step_s=settings.step_s)
     if smooth:
-        found = smoothed(found, step_s=settings.step_s)
+        found = smooth_tracks(found, step_s=settings.step_s)
     if least_track_score is not None:
         found = with_track_score(found, least_track_score)
     if kind == "kitti-tracking":

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError
-from farfield.geometry.boxes import Boxes
-from farfield.geometry.points import points_in_boxes
+from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.poses import transform_points
 from farfield.registry import display_html, named
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
+from farfield.geometry.boxes import Boxes
 from farfield.geometry.poses import transform_points
 
 # lidar (x forward, y left, z up) to camera (x right, y down, z forward) axes, no translation
@@ -138,3 +139,26 @@ def fold_radius(distortion: Float[np.ndarray, " 5"]) -> float:
     roots = slope.roots()
     turning = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(np.sqrt(turning.min())) if turning.size else float("inf")
+
+
+# Where boxes appear in a camera's image.
+
+
+def image_boxes(boxes: Boxes, camera: Camera) -> tuple[Float[np.ndarray, "n 4"], Float[np.ndarray, " n"]]:
+    """2D boxes round the projected corners, cut at the image, and the share that is cut off.
+
+    Returns:
+        left, top, right, bottom, shape (n, 4), -1 where nothing is seen; truncation in [0, 1], shape (n,).
+    """
+    pixels, _, _ = camera.project(boxes.corners_m().reshape(-1, 3))
+    pixels = pixels.reshape(-1, 8, 2)
+    ahead = np.isfinite(pixels).all(axis=(1, 2))
+    filled = np.where(ahead[:, None, None], pixels, 0.0)
+    low, high = filled.min(axis=1), filled.max(axis=1)
+    limit = np.array([camera.width_px or np.inf, camera.height_px or np.inf]) - 1
+    low_cut, high_cut = np.clip(low, 0, limit), np.clip(high, 0, limit)
+    area, cut = np.prod(high - low, axis=1), np.prod(high_cut - low_cut, axis=1)
+    seen = ahead & (cut > 0)
+    box_px = np.where(seen[:, None], np.column_stack([low_cut, high_cut]), -1.0)
+    truncation = np.where(seen, 1 - cut / np.maximum(area, 1e-9), 1.0)
+    return box_px, np.clip(truncation, 0.0, 1.0)

@@ -64,3 +64,53 @@ def quaternion_from_yaw(yaw_rad: Float[np.ndarray, "*shape"]) -> Float[np.ndarra
     half = np.asarray(yaw_rad, dtype=np.float64) / 2
     zero = np.zeros_like(half)
     return np.stack([zero, zero, np.sin(half), np.cos(half)], -1)
+
+
+def exponential(twist: Float[np.ndarray, "n 6"]) -> Float[np.ndarray, "n 4 4"]:
+    """Rigid motions of twists (rotation vector, then translation part), shape (n, 6) (Sola et al. 2018, eq. 172)."""
+    turn, along = twist[:, :3], twist[:, 3:]
+    a, b, c = _coefficients(turn)
+    hat, square = _hat(turn)
+    eye = np.eye(3)
+    motion = np.zeros((len(twist), 4, 4))
+    motion[:, :3, :3] = eye + a * hat + b * square
+    motion[:, :3, 3] = ((eye + b * hat + c * square) @ along[:, :, None])[:, :, 0]
+    motion[:, 3, 3] = 1
+    return motion
+
+
+def logarithm(motion: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 6"]:
+    """Twists of rigid motions whose turn is less than half a revolution, shape (n, 6); the inverse of the above."""
+    turn = _rotation_vector(motion[:, :3, :3])
+    _, b, c = _coefficients(turn)
+    hat, square = _hat(turn)
+    left = np.eye(3) + b * hat + c * square
+    along = np.linalg.solve(left, motion[:, :3, 3:])[:, :, 0]
+    return np.concatenate([turn, along], axis=1)
+
+
+def _coefficients(turn: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``sin x / x``, ``(1 - cos x) / x^2`` and ``(x - sin x) / x^3`` of the angles, each of shape (n, 1, 1)."""
+    angle = np.linalg.norm(turn, axis=1)[:, None, None]
+    small = angle < 1e-3  # the series' next terms are below 1e-14
+    x = np.where(small, 1.0, angle)
+    a = np.where(small, 1 - angle**2 / 6, np.sin(x) / x)
+    b = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(x)) / x**2)
+    c = np.where(small, 1 / 6 - angle**2 / 120, (x - np.sin(x)) / x**3)
+    return a, b, c
+
+
+def _hat(turn: Float[np.ndarray, "n 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices of the cross product, and their squares, each of shape (n, 3, 3)."""
+    x, y, z = turn.T
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    hat = np.stack([np.stack(row, -1) for row in rows], -2)
+    return hat, hat @ hat
+
+
+def _rotation_vector(rotation: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """Axis times angle, by way of scipy."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64).reshape(-1, 3)

@@ -20,7 +20,7 @@ Mark = tuple[int, int]
 """Size and CRC-32 of a file."""
 
 
-class _Entry(NamedTuple):
+class _JournalEntry(NamedTuple):
     source: str
     files: dict[str, Mark]
     line: tuple[int, int]  # where the line stands in the file: offset and length
@@ -46,7 +46,7 @@ class JobJournal:
     def __init__(self, path: Path, setting: str = "", *, overwrite: bool = False, files: bool = True) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path, self.folder, self.setting, self.files = path, path.parent, setting, files
-        self._entries: dict[str, _Entry] = {}
+        self._entries: dict[str, _JournalEntry] = {}
         self._waiting: list[tuple[str, str, dict[str, Mark], bytes]] = []
         self._lock = Lock()
         self._timer: Timer | None = None
@@ -141,7 +141,7 @@ class JobJournal:
                 handle.flush()
                 os.fsync(handle.fileno())
             for name, source, files, line in self._waiting:
-                self._entries[name] = _Entry(source, files, (offset, len(line)))
+                self._entries[name] = _JournalEntry(source, files, (offset, len(line)))
                 offset += len(line)
             self._waiting, self._sorted = [], False
 
@@ -174,13 +174,13 @@ def _line(name: str, source: str, files: dict[str, Mark], value: Any) -> bytes:
     return f"{head}{tail}\n".encode()
 
 
-def _parsed(line: bytes, offset: int) -> tuple[str, _Entry]:
+def _parsed(line: bytes, offset: int) -> tuple[str, _JournalEntry]:
     entry = json.loads(line.partition(b"\t")[0])
     files = {str(path): (int(size), int(crc)) for path, (size, crc) in entry["files"].items()}
     outside = [path for path in files if ".." in PurePosixPath(path).parts or PurePosixPath(path).is_absolute()]
     if outside:
         raise ValueError(f"a file outside the folder: {outside[0][:80]}")
-    return str(entry["unit"]), _Entry(str(entry["source"]), files, (offset, len(line)))
+    return str(entry["unit"]), _JournalEntry(str(entry["source"]), files, (offset, len(line)))
 
 
 def state_of(sources: Sequence[Path], setting: str) -> str:

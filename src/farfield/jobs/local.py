@@ -11,10 +11,9 @@ from queue import SimpleQueue
 from threading import Event, Lock, Semaphore, Thread
 from typing import IO, Any
 
-from farfield.jobs.engines import BulkError, FailedTask
-from farfield.jobs.messages import receive, send
-from farfield.jobs.threads import VARIABLES, one_thread
-from farfield.jobs.units import JobWork, Unit, UnitResult, alone
+from farfield.jobs.process import VARIABLES, one_thread
+from farfield.jobs.units import BulkError, FailedTask, JobWork, Unit, UnitResult, alone
+from farfield.jobs.worker import receive, send
 
 _GROUP = 10  # units of one group that a worker takes at a time
 _AHEAD = 16  # units under way, for each worker: a slow one holds back those behind it no longer
@@ -32,7 +31,7 @@ class LocalEngine:
     def run(
         self, work: JobWork, units: Sequence[Unit], *, workers: int, ordered: bool
     ) -> Iterator[tuple[int, UnitResult | FailedTask]]:
-        """See :class:`~farfield.jobs.engines.JobEngine`."""
+        """See :class:`~farfield.jobs.units.JobEngine`."""
         if workers <= 1 and not alone(work):
             yield from _here(work, units)
             return

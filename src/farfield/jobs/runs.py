@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import ConfigError
-from farfield.jobs.engines import ENGINES, BulkError, FailedTask
 from farfield.jobs.folders import locked, sweep_out
 from farfield.jobs.journal import JobJournal, Mark, mark_of, state_of
-from farfield.jobs.memory import fitting
-from farfield.jobs.signals import check
-from farfield.jobs.threads import one_thread
-from farfield.jobs.units import JobWork, Unit, UnitResult, alone
+from farfield.jobs.process import check, one_thread
+from farfield.jobs.units import ENGINES, BulkError, FailedTask, JobWork, Unit, UnitResult, alone
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 """Passes through the numbers that it iterates over, one as each unit is done, and may show how far they are."""
@@ -269,3 +266,47 @@ class _JournalledUnit:
 def _entry(folder: Path, source: str, done: UnitResult) -> tuple[str, dict[str, Mark], Any]:
     """What a journal keeps of a unit besides its name."""
     return source, {path.relative_to(folder).as_posix(): mark_of(path) for path in done.files}, done.value
+
+
+# How much memory is left to a work on this machine, within the limits of its container.
+
+_CGROUP = Path("/sys/fs/cgroup")
+
+
+def available_bytes(cgroup: Path = _CGROUP) -> int:
+    """Memory that programs can take now without swapping: the machine's, or what a container leaves of it."""
+    import psutil
+
+    free = int(psutil.virtual_memory().available)
+    try:
+        limit = (cgroup / "memory.max").read_text().strip()
+        used = int((cgroup / "memory.current").read_text())
+        stat = dict(line.split() for line in (cgroup / "memory.stat").read_text().splitlines())
+        reclaimable = int(stat.get("inactive_file", 0))
+    except (OSError, ValueError):
+        return free
+    return free if limit == "max" else min(free, max(0, int(limit) - used + reclaimable))
+
+
+def fitting(workers: int, each_bytes: int, *, asked: bool, available: int | None = None) -> int:
+    """How many workers fit into the memory.
+
+    Args:
+        workers: How many are wanted.
+        each_bytes: What one takes at most; 0 where that is not known.
+        asked: Whether the user asked for so many: then all must fit.
+        available: Bytes that are free; measured unless given.
+
+    Raises:
+        BulkError: If not even one fits, or fewer than were asked for.
+    """
+    if workers <= 1 or not each_bytes:
+        return workers
+    free = available_bytes() if available is None else available
+    room = int(free // each_bytes)
+    if room < workers and asked:
+        raise BulkError(
+            f"--workers {workers}: expected {workers * each_bytes / 1e9:.1f} GB of free memory, {each_bytes / 1e9:.1f} "
+            f"GB a worker, found {free / 1e9:.1f} GB. {f'--workers {room} fits' if room else 'Close other programs'}."
+        )
+    return max(1, min(workers, room))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.geometry.deskewing import logarithm
+from farfield.geometry.poses import logarithm
 
 STRETCH_M = 100.0
 _LEAST_M = 10.0

@@ -19,7 +19,7 @@ from farfield.detectors.runtime import Detector
 from farfield.evaluation import detect
 from farfield.figures.birds_eye import Window, in_window
 from farfield.frame import Boxes, Frame
-from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes
 from farfield.inspection.radar_frame import look_at
 from farfield.papers.grid import BudgetSettings, SimulatedSet
 from farfield.papers.places import DataLocation, simulate

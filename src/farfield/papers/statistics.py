@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from farfield.datasets import Dataset
 from farfield.errors import ConfigError
-from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes
 from farfield.jobs import JobOptions, Unit, UnitResult, values
 from farfield.metrics.deciding import Difference, measured
 from farfield.papers.claims import ClaimSide, Comparison

@@ -1,10 +1,9 @@
 """Clocks, synchronisation of streams and deskewing. Stamps are whole nanoseconds, int64."""
 
 from farfield.geometry.deskewing import PoseTrack, deskew, deskew_boxes
-from farfield.sync.blocks import MatchBlock, match_blocks
 from farfield.sync.clocks import ClockModel, drift_bound_ppm, fit_clock
 from farfield.sync.matching import StampMatches, match_times
-from farfield.sync.streaming import MatchedGroup, StreamMatcher
+from farfield.sync.streaming import MatchBlock, MatchedGroup, StreamMatcher, match_blocks
 
 __all__ = [
     "ClockModel",

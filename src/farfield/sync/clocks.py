@@ -2,18 +2,19 @@
 
 Model: ``t_b = t_a + offset + drift (t_a - middle) + delay``. Stamps alone show the drift together with that of the
 delay, and the offset together with the delay: its mean for symmetric jitter, its least value for a one-sided delay.
-Only a moment that both sensors see, or a two-way exchange (:mod:`farfield.sync.exchange`), tells offset and delay
+Only a moment that both sensors see, or a two-way exchange (:mod:`farfield.sync.clocks`), tells offset and delay
 apart; between streams that were paired by nearness the offset is known up to whole periods of the faster one.
 """
 
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int64
 
 from farfield.errors import ConfigError
-from farfield.sync.lines import huber, lower_hull, theil_sen
+from farfield.files.clock_logs import ClockLog
 
 Noise = Literal["auto", "symmetric", "one-sided"]
 SKEWED = 0.3
@@ -192,3 +193,185 @@ def _standard_errors(x: Seconds, y: Seconds, hull: bool) -> tuple[float, float]:
         found.append(lower_hull(x[rows], y[rows]) if hull else huber(x[rows], y[rows], *theil_sen(x[rows], y[rows])))
     slope_se, level_se = np.std(np.array(found), axis=0, ddof=1)
     return float(slope_se), float(level_se)
+
+
+# Straight lines through points with outliers: Theil-Sen, Huber, and the line under all points.
+
+HUBER_K = 1.345
+"""Huber's constant: 95 % of least squares' efficiency for Gaussian errors."""
+GROUPS = 200
+"""Theil-Sen takes the slopes between the medians of so many stretches."""
+
+Values = Float[np.ndarray, " n"]
+
+
+def theil_sen(x: Values, y: Values) -> tuple[float, float]:
+    """Median of the slopes between all pairs of points, or of the medians of :data:`GROUPS` stretches; and the level.
+
+    Args:
+        x: Increasing.
+        y: As many.
+
+    Returns:
+        Slope, and level at ``x = 0``.
+    """
+    if len(x) > GROUPS:
+        size = len(x) // GROUPS
+        few = slice(0, size * GROUPS)
+        x0, y0 = (np.median(part[few].reshape(GROUPS, size), axis=1) for part in (x, y))
+    else:
+        x0, y0 = x, y
+    first, second = np.triu_indices(len(x0), 1)
+    run = x0[second] - x0[first]
+    apart = run > 0
+    slope = float(np.median((y0[second] - y0[first])[apart] / run[apart])) if apart.any() else 0.0
+    return slope, float(np.median(y0 - slope * x0))
+
+
+def huber(x: Values, y: Values, slope: float, level: float) -> tuple[float, float]:
+    """Huber's regression by reweighted least squares from a robust start, its scale from the start's residuals.
+
+    Args:
+        x: Where.
+        y: What.
+        slope: Of the start.
+        level: Of the start, at ``x = 0``.
+
+    Returns:
+        Slope, and level at ``x = 0``.
+    """
+    residual = y - level - slope * x
+    scale = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    if scale <= 0:
+        return slope, level
+    for _ in range(30):
+        size = np.abs(y - level - slope * x)
+        weight = np.minimum(1.0, HUBER_K * scale / np.maximum(size, 1e-300))
+        total = weight.sum()
+        x_mean, y_mean = float(weight @ x) / total, float(weight @ y) / total
+        spread = float(weight @ (x - x_mean) ** 2)
+        if spread <= 0:
+            return slope, level
+        new = float(weight @ ((x - x_mean) * (y - y_mean))) / spread
+        change, slope = abs(new - slope), new
+        level = y_mean - slope * x_mean
+        if change * np.ptp(x) < 1e-6 * scale:
+            break
+    return float(slope), float(level)
+
+
+def lower_hull(x: Values, y: Values) -> tuple[float, float]:
+    """The line under all points whose distances add up to the least: the edge of the lower hull over the mean of ``x``.
+
+    Args:
+        x: Not decreasing; of equal ones the lowest counts.
+        y: As many.
+
+    Returns:
+        Slope, and level at ``x = 0``.
+    """
+    chain: list[tuple[float, float]] = []
+    for point in zip(x.tolist(), y.tolist(), strict=True):
+        if chain and chain[-1][0] == point[0]:
+            if point[1] >= chain[-1][1]:
+                continue
+            chain.pop()
+        while len(chain) > 1 and _above(chain[-2], chain[-1], point):
+            chain.pop()
+        chain.append(point)
+    middle = float(x.mean())
+    for (x0, y0), (x1, y1) in pairwise(chain):
+        if x0 <= middle <= x1:
+            slope = (y1 - y0) / (x1 - x0)
+            return slope, y0 - slope * x0
+    return 0.0, chain[0][1]
+
+
+def _above(before: tuple[float, float], middle: tuple[float, float], after: tuple[float, float]) -> bool:
+    """Whether the middle point lies on or above the line between its neighbours."""
+    return (middle[1] - before[1]) * (after[0] - before[0]) >= (after[1] - before[1]) * (middle[0] - before[0])
+
+
+# Two-way exchanges: what they tell of a clock that one-way stamps cannot, its offset apart from the delay.
+#
+# IEEE 1588-2019, 11.3: a message leaves the master at ``t1`` and arrives at ``t2``, another leaves at ``t3`` and
+# arrives at ``t4``. With equal delays both ways the clock is ahead by ``((t2 - t1) - (t4 - t3)) / 2`` and the delay
+# is ``((t2 - t1) + (t4 - t3)) / 2``. What stays unknown is half the difference of the two delays.
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExchangeClock:
+    """A clock against its master, from exchanges.
+
+    Args:
+        exchanges: How many, of a locked servo.
+        unlocked: How many before the servo was locked; they are left out.
+        offset_ns: Median offset; None where only summaries stand in the log.
+        spread_ns: Robust deviation of the offset, of summaries the median root mean square.
+        worst_ns: Largest offset either way.
+        delay_ns: Median path delay; None where it is not known.
+        asymmetry_limit_ns: The offset cannot be wrong by more: half of both delays together, since neither is negative.
+        drift_ppm: What the servo takes off the clock's rate, median; None where it is not known.
+    """
+
+    exchanges: int
+    unlocked: int
+    offset_ns: float | None
+    spread_ns: float
+    worst_ns: float
+    delay_ns: float | None
+    asymmetry_limit_ns: float | None
+    drift_ppm: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it."""
+        return asdict(self)
+
+
+def two_way(
+    t1_ns: Int64[np.ndarray, " n"],
+    t2_ns: Int64[np.ndarray, " n"],
+    t3_ns: Int64[np.ndarray, " n"],
+    t4_ns: Int64[np.ndarray, " n"],
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Offset and delay of each exchange, in nanoseconds, for equal delays both ways.
+
+    Args:
+        t1_ns: The master sends, by its clock.
+        t2_ns: The other receives, by its own clock.
+        t3_ns: The other sends, by its own clock.
+        t4_ns: The master receives, by its clock.
+    """
+    there, back = t2_ns - t1_ns, t4_ns - t3_ns
+    return (there - back) / 2, (there + back) / 2
+
+
+def summarised(log: ClockLog) -> ExchangeClock:
+    """What a log of ``ptp4l`` or ``phc2sys`` says of its clock.
+
+    Raises:
+        ConfigError: If the servo was never locked.
+    """
+    rows = np.flatnonzero(log.locked)
+    if not len(rows):
+        raise ConfigError(f"{log.path}: expected a clock that was locked to its master, got {len(log)} rows before")
+    offset = log.offset_ns[rows].astype(np.float64)
+    median = float(np.median(offset))
+    spread = median if log.summary else 1.4826 * float(np.median(np.abs(offset - median)))
+    delay = _median(log.delay_ns[rows])
+    freq = _median(log.freq_ppb[rows])
+    return ExchangeClock(
+        exchanges=len(rows),
+        unlocked=len(log) - len(rows),
+        offset_ns=None if log.summary else median,
+        spread_ns=spread,
+        worst_ns=float(np.abs(offset).max()),
+        delay_ns=delay,
+        asymmetry_limit_ns=None if delay is None else max(delay, 0.0),
+        drift_ppm=None if freq is None else -freq / 1e3,
+    )
+
+
+def _median(values: Float[np.ndarray, " n"]) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None

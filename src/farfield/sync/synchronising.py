@@ -1,19 +1,22 @@
 """A recording's streams matched to one of them: the table, and what it says of clocks, gaps and losses."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from jaxtyping import Float, Int64
 
 from farfield.errors import ConfigError
-from farfield.sync.blocks import MatchBlock, match_blocks
-from farfield.sync.clocks import MAX_PAIRS, ClockModel, fit_clock
-from farfield.sync.exchange import ExchangeClock
+from farfield.files.atomic import open_atomic
+from farfield.files.text_table import ROWS_AT_ONCE, Text, integers, join
+from farfield.sync.clocks import MAX_PAIRS, ClockModel, ExchangeClock, fit_clock
 from farfield.sync.sources import RecordedStreams
 from farfield.sync.stamps import StreamCounter, StreamStats, apart
+from farfield.sync.streaming import MatchBlock, match_blocks
 
 SPEED_M_S = 30.0
 """Residuals are also given as the way at this speed: that of a car that comes towards us."""
@@ -312,3 +315,64 @@ def over_time(
     quantiles = partial(np.quantile, q=[0.1, 0.5, 0.9])
     middle = np.array([float(times_ns[part].mean() - times_ns[0]) / 1e9 for part in parts])
     return middle, np.array([quantiles(values[part]) for part in parts]).reshape(-1, 3)
+
+
+# The table of matches as CSV, a row a message of the reference, written as the rows come.
+
+
+class MatchTable:
+    """Rows of matches as text: of each stream the message and, in nanoseconds, how much later it is.
+
+    Args:
+        handle: Where they go.
+        reference: Name of the stream to which the others are matched.
+        labels: Names of a stream's messages, where they are not counted from 0.
+    """
+
+    def __init__(self, handle: BinaryIO, reference: str, labels: Mapping[str, Sequence[str]]) -> None:
+        self.handle, self.reference, self.begun = handle, reference, False
+        self.labels = {name: _texts(words) for name, words in labels.items()}
+
+    def add(self, others: Sequence[str], rows: MatchBlock) -> None:
+        """Write some rows; the header comes before the first."""
+        if not self.begun:
+            heads = [f"{self.reference}_frame", f"{self.reference}_ns"]
+            heads += [f"{name}_{what}" for name in others for what in ("frame", "later_ns")]
+            self.handle.write((",".join(head.replace(",", "_") for head in heads) + "\n").encode())
+            self.begun = True
+        for begin in range(0, len(rows.reference_ns), ROWS_AT_ONCE):
+            part = slice(begin, begin + ROWS_AT_ONCE)
+            columns = [self._named(self.reference, rows.reference_index[part]), integers(rows.reference_ns[part])]
+            for column, name in enumerate(others):
+                index = rows.index[part, column]
+                later = integers(rows.residual_ns[part, column])
+                later[index < 0] = 0
+                columns += [self._named(name, index), later]
+            self.handle.write(join(columns, ","))
+
+    def _named(self, stream: str, index: Int64[np.ndarray, " n"]) -> Text:
+        """The messages' names; nothing where there is none."""
+        words = self.labels.get(stream)
+        text = integers(np.maximum(index, 0)) if words is None else words[np.maximum(index, 0)]
+        text[index < 0] = 0
+        return text
+
+
+def _texts(words: Sequence[str]) -> Text:
+    """Words as rows of codes; commas and line ends, which a table has no room for, become low lines."""
+    plain = [word.translate({ord(","): "_", ord("\n"): "_", ord("\r"): "_"}).encode() for word in words]
+    lines = np.array(plain or [b"0"], dtype=np.bytes_)
+    return lines.view(np.uint8).reshape(len(lines), -1)
+
+
+@contextmanager
+def match_table(path: Path, reference: str, labels: Mapping[str, Sequence[str]]) -> Iterator[MatchTable]:
+    """A table that appears under its name when the block ends without an error."""
+    with open_atomic(path) as handle:
+        yield MatchTable(handle, reference, labels)
+
+
+def read_match_table(path: Path | str) -> dict[str, list[str]]:
+    """The columns of a table of matches, as text; a cell without a partner is empty."""
+    rows = [line.split(",") for line in Path(path).read_text(encoding="utf-8").splitlines()]
+    return dict(zip(rows[0], map(list, zip(*rows[1:], strict=True)), strict=True)) if len(rows) > 1 else {}

@@ -1,8 +1,7 @@
 """Tracking by detection: detections of a drive to tracks with identities and velocities."""
 
-from farfield.tracking.joining import ANNOTATED, JoinSettings, joined, joining_of
-from farfield.tracking.presets import PRESETS, preset, with_options
-from farfield.tracking.settings import TrackerSettings
+from farfield.tracking.offline import ANNOTATED, JoinSettings, join_settings, join_tracks
+from farfield.tracking.presets import PRESETS, TrackerSettings, preset, with_options
 from farfield.tracking.tracker import track
 
 __all__ = [
@@ -10,8 +9,8 @@ __all__ = [
     "PRESETS",
     "JoinSettings",
     "TrackerSettings",
-    "joined",
-    "joining_of",
+    "join_settings",
+    "join_tracks",
     "preset",
     "track",
     "with_options",

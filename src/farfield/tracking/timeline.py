@@ -1,12 +1,13 @@
-"""The frames over which is tracked: their order, time steps and poses."""
+"""The frames of a tracked drive: their order, time steps and poses, from a data set's drives or from names alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
+from farfield.errors import ConfigError
 from farfield.frame.drive import Drive, Key
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
@@ -38,26 +39,26 @@ class Timeline:
         return velocity
 
 
-def timelines(found: Detections, *, step_s: float, ego_motion: bool = True) -> list[Timeline]:
-    """The drives of detections, those of ``found.drives`` or the sequences.
+def timelines(detections: Detections, *, step_s: float, ego_motion: bool = True) -> list[Timeline]:
+    """The drives of detections, those of ``detections.drives`` or the sequences.
 
     Args:
-        found: The detections.
+        detections: The detections.
         step_s: Seconds between frames where there are no stamps.
         ego_motion: Whether poses are taken, where there are any.
     """
-    if found.drives:
-        return [_of_drive(drive, step_s, ego_motion) for drive in found.drives]
-    by_name: dict[str, list[Key]] = {}
-    for key in sorted({*found.boxes, *found.annotations}, key=frame_order):
-        by_name.setdefault(key[0], []).append(key)
-    filled = [_filled(keys) for keys in by_name.values()]
+    if detections.drives:
+        return [_drive_timeline(drive, step_s, ego_motion) for drive in detections.drives]
+    by_sequence: dict[str, list[Key]] = {}
+    for key in sorted({*detections.boxes, *detections.annotations}, key=frame_order):
+        by_sequence.setdefault(key[0], []).append(key)
+    sequences = [_with_missing_numbers(keys) for keys in by_sequence.values()]
     return [
-        Timeline(keys=keys, step_s=np.full(len(keys), step_s), stamped=False, world_T_frame=None) for keys in filled
+        Timeline(keys=keys, step_s=np.full(len(keys), step_s), stamped=False, world_T_frame=None) for keys in sequences
     ]
 
 
-def _of_drive(drive: Drive, step_s: float, ego_motion: bool) -> Timeline:
+def _drive_timeline(drive: Drive, step_s: float, ego_motion: bool) -> Timeline:
     steps = np.full(len(drive.keys), step_s)
     if drive.times_ns is not None:
         steps = np.diff(drive.times_ns, prepend=drive.times_ns[:1]) / 1e9
@@ -65,8 +66,8 @@ def _of_drive(drive: Drive, step_s: float, ego_motion: bool) -> Timeline:
     return Timeline(keys=drive.keys, step_s=steps, stamped=drive.times_ns is not None, world_T_frame=pose)
 
 
-def assumed(drives: Sequence[Timeline], *, seconds: bool, ego_motion: bool, step_s: float) -> list[str]:
-    """Sentences on what the data do not tell."""
+def assumption_notes(drives: Sequence[Timeline], *, seconds: bool, ego_motion: bool, step_s: float) -> list[str]:
+    """What tracking assumes where stamps or poses are missing, a sentence each."""
     notes = []
     if seconds and not all(drive.stamped for drive in drives):
         notes.append(f"tracked with steps of {step_s:g} s, as the data have no stamps")
@@ -75,7 +76,7 @@ def assumed(drives: Sequence[Timeline], *, seconds: bool, ego_motion: bool, step
     return notes
 
 
-def _filled(keys: list[Key]) -> tuple[Key, ...]:
+def _with_missing_numbers(keys: list[Key]) -> tuple[Key, ...]:
     """Keys of a sequence with those of the whole numbers that are missing between 0 and the last."""
     names = [frame for _, frame in keys]
     if not all(map(is_number, names)):
@@ -88,3 +89,32 @@ def _filled(keys: list[Key]) -> tuple[Key, ...]:
 def is_number(name: str) -> bool:
     """Whether a frame is named by a whole number."""
     return name.isascii() and name.isdigit() and len(name) <= 9
+
+
+def with_drives(detections: Detections, drives: Sequence[Drive]) -> Detections:
+    """Detections with the drives that hold their frames.
+
+    Args:
+        detections: Detections by (sequence, frame).
+        drives: The drives of a data set. Those without any of these frames are left out.
+
+    Raises:
+        ConfigError: If there are no drives, or a frame of the detections is in none.
+    """
+    if not drives:
+        raise ConfigError(
+            "data: expected drives, frames in the order of time; this data set has none. Leave --data out"
+        )
+    keys = {key for drive in drives for key in drive.keys}
+    absent = sorted(set(detections.boxes) - keys)
+    if absent:
+        first = next(iter(drives[0].keys), ("", ""))
+        examples = ", ".join(f"{sequence}/{frame}" for sequence, frame in absent[:3])
+        raise ConfigError(
+            f"data: expected the detections' frames among the data set's, whose first is {first[0]}/{first[1]}; "
+            f"{len(absent)} of {len(detections.boxes)} are not there: {examples}. "
+            "Detect on this data set, or name sequences and frames as it does"
+        )
+    return replace(
+        detections, drives=tuple(drive for drive in drives if not set(drive.keys).isdisjoint(detections.boxes))
+    )

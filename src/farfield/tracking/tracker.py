@@ -1,11 +1,16 @@
-"""Detections of drives to detections with identities and velocities."""
+"""Tracking by detection: prediction, data association, update, birth, output and death, frame by frame.
 
+The headings are those of AB3DMOT (Weng et al., IROS 2020); :class:`TrackEngine` takes a step of many drives at once.
+"""
+
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from farfield.errors import ConfigError
 from farfield.frame.annotation import Annotation
@@ -13,24 +18,38 @@ from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.metrics.detections import Detections
-from farfield.tracking.engine import DetectionBatch, TrackEngine
-from farfield.tracking.kalman import Tracks
-from farfield.tracking.presets import preset
-from farfield.tracking.settings import TrackerSettings
-from farfield.tracking.timeline import Timeline, assumed, is_number, timelines
+from farfield.tracking.association import GateUncertainty, associate
+from farfield.tracking.kalman import (
+    Tracks,
+    narrow_births,
+    polar_covariance,
+    predict,
+    predict_cross,
+    radial_gaps,
+    update,
+    update_coupled,
+    update_doppler,
+)
+from farfield.tracking.presets import TrackerSettings, preset
+from farfield.tracking.timeline import Timeline, assumption_notes, is_number, timelines
+
+_TICK_S = 1e-6  # sums of steps are no exact multiples
 
 
-def track(found: Detections, settings: TrackerSettings | str = "default", **changes: Any) -> Detections:
+def track(
+    detections: Detections | None = None, settings: TrackerSettings | str = "default", **changes: Any
+) -> Detections:
     """Give detections identities and velocities, frame by frame, without looking ahead.
 
-    Drives come from ``found.drives`` with their stamps and poses. Without drives, a sequence is a drive; frames whose
-    names are whole numbers are taken in their order from 0 on, the missing ones as frames without detections and
+    Drives come from ``detections.drives`` with their stamps and poses. Without drives, a sequence is a drive; frames
+    whose names are whole numbers are taken in their order from 0 on, the missing ones as frames without detections and
     without annotated boxes.
 
     Args:
-        found: Scored boxes. ``prediction_details`` may hold ``doppler_m_s``, radial velocities relative to the sensor
-            as measured, away from it positive, NaN for none, shape (n,), and ``doppler_ray``, the mean direction from
-            the sensor to the points that they were measured on, shape (n, 3), else that to the box's centre is taken.
+        detections: Scored boxes. ``prediction_details`` may hold ``doppler_m_s``, radial velocities relative to the
+            sensor as measured, away from it positive, NaN for none, shape (n,), and ``doppler_ray``, the mean direction
+            from the sensor to the points that they were measured on, shape (n, 3), else that to the box's centre is
+            taken.
         settings: Options, or a preset's name.
         **changes: Options that differ from these.
 
@@ -41,104 +60,399 @@ def track(found: Detections, settings: TrackerSettings | str = "default", **chan
     Raises:
         ConfigError: If an option is impossible, or a column of details has not a row for each box.
     """
-    chosen = (preset(settings) if isinstance(settings, str) else settings).changed(**changes)
-    drives = timelines(found, step_s=chosen.step_s, ego_motion=chosen.ego_motion)
-    notes = assumed(drives, seconds=chosen.time == "seconds", ego_motion=chosen.ego_motion, step_s=chosen.step_s)
-    labels = sorted({str(name) for boxes in found.boxes.values() for name in np.unique(boxes.label)})
-    table = _DetectionTable(found, drives, labels, chosen)
-    radial = any("doppler_m_s" in details for details in found.prediction_details.values())
-    engine = TrackEngine(chosen, drives=len(drives), labels=labels, logits=_are_logits(found), doppler=radial)
-    shown: list[tuple[int, Tracks]] = []
+    if "found" in changes:
+        warnings.warn("track: found= is called detections= now", DeprecationWarning, stacklevel=2)
+        detections = changes.pop("found")
+    if detections is None:
+        raise ConfigError("track: expected detections, got none")
+    settings = (preset(settings) if isinstance(settings, str) else settings).changed(**changes)
+    drives = timelines(detections, step_s=settings.step_s, ego_motion=settings.ego_motion)
+    labels = sorted({str(name) for boxes in detections.boxes.values() for name in np.unique(boxes.label)})
+    scores = [boxes.score for boxes in detections.boxes.values() if boxes.score is not None]
+    table = _DetectionTable(detections, drives, labels, settings)
+    engine = TrackEngine(
+        settings,
+        drives=len(drives),
+        labels=labels,
+        logits=any(((score < 0) | (score > 1)).any() for score in scores),
+        doppler=any("doppler_m_s" in details for details in detections.prediction_details.values()),
+    )
+    reported: list[tuple[int, Tracks]] = []
     for number in range(max((len(drive.keys) for drive in drives), default=0)):
         running = np.array([number < len(drive.keys) for drive in drives])
         dt = np.array([drive.step_s[number] if number < len(drive.keys) else 0.0 for drive in drives])
-        shown.append((number, engine.step(table.frame(number), dt, running)))
-    boxes, details = table.assembled(shown)
-    in_image = any("box_px" in known for known in found.prediction_details.values())
-    kept = {key: {"box_px": rows} for key, rows in details.items()} if in_image else {}
+        reported.append((number, engine.step(table.frame(number), dt, running)))
+    boxes, box_px = table.boxes_of(reported)
+    in_image = any("box_px" in details for details in detections.prediction_details.values())
+    notes = assumption_notes(
+        drives, seconds=settings.time == "seconds", ego_motion=settings.ego_motion, step_s=settings.step_s
+    )
     return replace(
-        found,
+        detections,
         boxes=boxes,
-        prediction_details=kept,
-        annotations=_with_filled(found.annotations, boxes),
-        notes=(*found.notes, *notes),
+        prediction_details={key: {"box_px": rows} for key, rows in box_px.items()} if in_image else {},
+        annotations=_with_missing_frames(detections.annotations, boxes),
+        notes=(*detections.notes, *notes),
     )
 
 
-def _are_logits(found: Detections) -> bool:
-    """Whether any score lies outside [0, 1]."""
-    scores = [boxes.score for boxes in found.boxes.values() if boxes.score is not None]
-    return any(((score < 0) | (score > 1)).any() for score in scores)
-
-
-def _with_filled(annotations: Mapping[Key, Annotation], boxes: Mapping[Key, Boxes]) -> dict[Key, Annotation]:
+def _with_missing_frames(annotations: Mapping[Key, Annotation], boxes: Mapping[Key, Boxes]) -> dict[Key, Annotation]:
     """Annotations, and empty ones for the missing frames of annotated sequences, where a track may coast."""
     annotated = {sequence for sequence, _ in annotations}
     missing = [key for key in boxes if key not in annotations and key[0] in annotated and is_number(key[1])]
     return {**annotations} | {key: Annotation(boxes=Boxes.empty()) for key in missing}
 
 
-class _DetectionTable:
-    """All detections as rows by frame number, then drive, then falling score."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DetectionBatch:
+    """Detections of one frame of each of several drives.
+
+    Args:
+        drive: Numbers of the drives, rising, shape (n,).
+        rows: x, y, z (the filtered point), length, width, height, yaw, shape (n, 7).
+        velocity_m_s: Where the detector gives it, else 0, shape (n, 2).
+        ray_m: From the sensor to the box along the axes of the rows, shape (n, 2).
+        score: Scores, shape (n,), falling within a drive.
+        label: Numbers of the classes, shape (n,).
+        source: Their rows in the table of all detections, shape (n,).
+        radial: Measured radial velocities as :func:`farfield.tracking.kalman.update_doppler` takes them, shape (n, 7).
+    """
+
+    drive: Int[np.ndarray, " n"]
+    rows: Float[np.ndarray, "n 7"]
+    velocity_m_s: Float[np.ndarray, "n 2"]
+    ray_m: Float[np.ndarray, "n 2"]
+    score: Float[np.ndarray, " n"]
+    label: Int[np.ndarray, " n"]
+    source: Int[np.ndarray, " n"]
+    radial: Float[np.ndarray, "n 7"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.drive)
+
+    def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "DetectionBatch":
+        columns: dict[str, Any] = {
+            name: None if values is None else values[rows] for name, values in vars(self).items()
+        }
+        return DetectionBatch(**columns)
+
+
+class TrackEngine:
+    """Tracks of several drives, updated frame by frame.
+
+    Args:
+        settings: The tracker's options.
+        drives: Number of drives.
+        labels: Names of the classes.
+        logits: Whether scores are logits rather than probabilities.
+        doppler: Whether detections have radial velocities; x and y are then coupled.
+    """
 
     def __init__(
-        self, found: Detections, drives: Sequence[Timeline], labels: Sequence[str], settings: TrackerSettings
+        self,
+        settings: TrackerSettings,
+        *,
+        drives: int,
+        labels: Sequence[str],
+        logits: bool = False,
+        doppler: bool = False,
+    ) -> None:
+        self.settings = settings
+        self.tracks = Tracks.empty()
+        self.next_id = np.zeros(drives, dtype=np.int64)
+        self.frames = np.zeros(drives, dtype=np.int64)
+        self.gate = np.array([settings.gates_m.get(name.lower(), settings.gate) for name in labels] or [settings.gate])
+        self.sure_score = -np.inf if settings.sure_score is None else settings.sure_score
+        if logits and settings.sure_score is not None:
+            with np.errstate(divide="ignore"):
+                self.sure_score = float(np.log(settings.sure_score) - np.log1p(-settings.sure_score))
+        self.coupled = doppler and settings.doppler_sigma_m_s is not None
+
+    def step(
+        self, detections: DetectionBatch, dt: Float[np.ndarray, " drives"], running: Bool[np.ndarray, " drives"]
+    ) -> Tracks:
+        """Take one frame of each running drive.
+
+        Args:
+            detections: Detections of these frames.
+            dt: Seconds since the frame before.
+            running: Drives that have such a frame.
+
+        Returns:
+            The tracks that are reported.
+        """
+        settings = self.settings
+        self.frames += running
+
+        # Tracks end with their drive and, where the settings say so, with a frame without detections.
+        continuing = running.copy()
+        if settings.forget_when_empty:
+            continuing &= np.bincount(detections.drive, minlength=len(continuing)) > 0
+        if not continuing.all():
+            self.tracks = self.tracks[continuing[self.tracks.drive]]
+
+        # Prediction: constant velocity, over one frame or over its seconds.
+        step = (np.ones_like(dt) if settings.time == "frames" else dt)[self.tracks.drive]
+        predict(self.tracks, step, settings)
+        self.tracks.unseen_s = self.tracks.unseen_s + dt[self.tracks.drive]
+        if self.coupled:
+            predict_cross(self.tracks, step)
+
+        # Data association and update: every track with the strong detections.
+        is_strong = np.ones(len(detections), dtype=bool)
+        if settings.strong_score is not None:
+            is_strong = detections.score >= settings.strong_score
+        strong = detections if is_strong.all() else detections[is_strong]
+        rows, matches = self._associate(strong, np.arange(len(self.tracks)), self.gate)
+        self._update(rows, strong[matches])
+
+        # Second stage: tracks without a match with the weak detections (Pang et al., SimpleTrack, 2022).
+        if settings.weak_gate is not None and not is_strong.all():
+            weak = detections[~is_strong]
+            weak_gate = np.full(len(self.gate), settings.weak_gate)
+            rows, weak_matches = self._associate(weak, np.flatnonzero(self.tracks.misses > 0), weak_gate)
+            self._update(rows, weak[weak_matches], alive_only=not settings.weak_updates)
+
+        # Birth: of each strong detection without a match.
+        unmatched = np.ones(len(strong), dtype=bool)
+        unmatched[matches] = False
+        self.tracks = self.tracks.with_new(self._birth(strong[unmatched]))
+
+        # Output: tracks with enough matches, or of the drive's first frames.
+        reported = self.tracks[self._is_reported()]
+
+        # Death: of tracks that were missed for too long.
+        alive = self._is_alive()
+        self.tracks = self.tracks if alive.all() else self.tracks[alive]
+        return reported
+
+    def _associate(
+        self, detections: DetectionBatch, rows: Int[np.ndarray, " k"], gate: Float[np.ndarray, " labels"]
+    ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+        """Rows of the tracks, of those given, that have a match, and rows of their detections."""
+        if not len(detections) or not len(rows):
+            none = np.zeros(0, dtype=np.int64)
+            return none, none
+        tracks = self.tracks if len(rows) == len(self.tracks) else self.tracks[rows]
+        track_boxes = np.column_stack([tracks.position_m, tracks.size_m, tracks.yaw_rad])
+        detection_boxes = detections.rows
+        if self.settings.anchor == "bottom":
+            track_boxes = _centred(track_boxes)
+            detection_boxes = _centred(detection_boxes)
+        matched, matches = associate(
+            track_boxes,
+            tracks.drive,
+            tracks.label,
+            detection_boxes,
+            detections.drive,
+            detections.label,
+            self.settings,
+            gate,
+            self._gate_uncertainty(tracks, detections),
+        )
+        return rows[matched], matches
+
+    def _gate_uncertainty(self, tracks: Tracks, detections: DetectionBatch) -> GateUncertainty | None:
+        settings = self.settings
+        if settings.gate_sigmas is None and not settings.gate_speed_m_s:
+            return None
+        radial = None
+        if self.coupled and detections.radial is not None and settings.doppler_sigma_m_s is not None:
+            radial = partial(
+                radial_gaps,
+                tracks,
+                detections.radial,
+                sigma_m_s=settings.doppler_sigma_m_s,
+                span_m_s=settings.doppler_span_m_s,
+            )
+        return GateUncertainty(
+            wider_m=settings.gate_speed_m_s * tracks.unseen_s,
+            tracks_m2=tracks.position_var[:, :2],
+            detections_m2=self._variance(detections.ray_m)[:, :2],
+            radial=radial,
+        )
+
+    def _update(self, rows: Int[np.ndarray, " k"], detections: DetectionBatch, *, alive_only: bool = False) -> None:
+        """Update tracks by their detections, or only note that they were seen."""
+        tracks, settings = self.tracks, self.settings
+        if not len(rows):
+            return
+        tracks.misses[rows] = 0
+        tracks.unseen_s[rows] = 0.0
+        if alive_only:
+            return
+        tracks.hits[rows] += 1
+        tracks.best_score[rows] = np.maximum(tracks.best_score[rows], detections.score)
+        tracks.range_m[rows] = np.hypot(*detections.ray_m.T)
+        tracks.source[rows] = detections.source
+        tracks.score[rows] = detections.score
+        if settings.motion == "detection":
+            tracks.position_m[rows] = detections.rows[:, :3]
+            tracks.size_m[rows] = detections.rows[:, 3:6]
+            tracks.yaw_rad[rows] = detections.rows[:, 6]
+            tracks.velocity[rows, :2] = detections.velocity_m_s
+            return
+        variance = self._variance(detections.ray_m)
+        if not self.coupled:
+            update(tracks, rows, detections.rows, variance, settings)
+            return
+        # With radial velocities: x and y together, z on its own axis, then the radial velocity.
+        covariance = variance[:, :2, None] * np.eye(2)
+        if settings.range_sigma_m is not None:
+            covariance = polar_covariance(detections.ray_m, settings.range_sigma_m, settings.azimuth_sigma_rad)
+        update(tracks, rows, detections.rows, variance, settings, axes=slice(2, 3))
+        update_coupled(tracks, rows, detections.rows[:, :2], covariance)
+        self._update_doppler(tracks, rows, detections)
+
+    def _update_doppler(self, tracks: Tracks, rows: Int[np.ndarray, " k"], detections: DetectionBatch) -> None:
+        sigma, span = self.settings.doppler_sigma_m_s, self.settings.doppler_span_m_s
+        if detections.radial is not None and sigma is not None:
+            range_m = np.hypot(*detections.ray_m.T)
+            update_doppler(tracks, rows, detections.radial, range_m, sigma_m_s=sigma, span_m_s=span)
+
+    def _variance(self, ray_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+        """Variances of detected positions: the same for all, or by range and direction."""
+        settings = self.settings
+        variance = np.full((len(ray_m), 3), settings.measurement_variance)
+        if settings.range_sigma_m is not None:
+            range_m = np.hypot(*ray_m.T)
+            unit2 = (ray_m / np.maximum(range_m, 1e-9)[:, None]) ** 2
+            across = (range_m * settings.azimuth_sigma_rad) ** 2
+            variance[:, :2] = settings.range_sigma_m**2 * unit2 + across[:, None] * unit2[:, ::-1]
+        return variance
+
+    def _birth(self, detections: DetectionBatch) -> Tracks:
+        """New tracks, numbered by drive in the order of the detections."""
+        n, settings = len(detections), self.settings
+        rank = np.arange(n) - np.searchsorted(detections.drive, detections.drive)
+        track_id = self.next_id[detections.drive] + rank
+        self.next_id += np.bincount(detections.drive, minlength=len(self.next_id))
+        velocity = np.zeros((n, 3))
+        if settings.motion == "detection" or settings.time == "seconds":
+            velocity[:, :2] = detections.velocity_m_s
+        variance = np.full((n, 3), settings.initial_variance)
+        born = Tracks(
+            drive=detections.drive,
+            track_id=track_id,
+            label=detections.label,
+            position_m=detections.rows[:, :3].copy(),
+            velocity=velocity,
+            position_var=variance,
+            position_velocity_cov=np.zeros((n, 3)),
+            velocity_var=np.full((n, 3), settings.initial_speed_variance),
+            size_m=detections.rows[:, 3:6].copy(),
+            yaw_rad=detections.rows[:, 6].copy(),
+            shape_var=variance[:, 0].copy(),
+            hits=np.ones(n, dtype=np.int64),
+            misses=np.zeros(n, dtype=np.int64),
+            unseen_s=np.zeros(n),
+            source=detections.source.copy(),
+            score=detections.score.copy(),
+            best_score=detections.score.copy(),
+            range_m=np.hypot(*detections.ray_m.T),
+            cross_cov=np.zeros((n, 2, 2)),
+        )
+        if self.coupled:
+            if settings.across_speed_m_s is not None and detections.radial is not None:
+                narrow_births(born, detections.radial, settings.across_speed_m_s)
+            self._update_doppler(born, np.arange(n), detections)
+        return born
+
+    def _is_reported(self) -> Bool[np.ndarray, " n"]:
+        tracks, settings = self.tracks, self.settings
+        proven = (tracks.hits >= self._by_range("min_hits")) | (self.frames[tracks.drive] <= settings.warm_up)
+        proven &= (tracks.best_score >= self.sure_score) | (tracks.hits >= settings.unsure_hits)
+        return proven & (self._is_alive() if settings.report_coasted else (tracks.misses == 0))
+
+    def _is_alive(self) -> Bool[np.ndarray, " n"]:
+        """Which tracks have not been missed for too long; one that was matched just now lives."""
+        tracks, longest_s = self.tracks, self.settings.max_age_s
+        if longest_s is None:
+            return np.asarray(tracks.misses < self._by_range("max_age"))
+        return np.asarray((tracks.misses == 0) | (tracks.unseen_s < longest_s - _TICK_S))
+
+    def _by_range(self, name: str) -> int | Int[np.ndarray, " n"]:
+        """An option that may be another one far away."""
+        near = int(getattr(self.settings, name))
+        if self.settings.far_m is None:
+            return near
+        return np.where(self.tracks.range_m >= self.settings.far_m, getattr(self.settings, f"far_{name}"), near)
+
+
+def _centred(rows: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 7"]:
+    """Rows of bottoms' centres as rows of centres."""
+    centred = rows.copy()
+    centred[:, 2] += rows[:, 5] / 2
+    return centred
+
+
+class _DetectionTable:
+    """All detections as rows by frame number, then drive, then falling score.
+
+    Args:
+        detections: The detections.
+        drives: Their frames.
+        labels: Names of the classes; a row holds a class's number.
+        settings: Which detections take part, and which point of a box is filtered.
+    """
+
+    def __init__(
+        self, detections: Detections, drives: Sequence[Timeline], labels: Sequence[str], settings: TrackerSettings
     ) -> None:
         self.drives, self.labels, self.settings = drives, labels, settings
-        number_of = {name: number for number, name in enumerate(labels)}
-        parts: list[dict[str, np.ndarray]] = []
-        for place, drive in enumerate(drives):
+        label_numbers = {name: number for number, name in enumerate(labels)}
+        frames = [_frame_rows(Boxes.empty(scored=True), 0, 0, None, {}, label_numbers, settings)]
+        for drive_number, drive in enumerate(drives):
             for number, key in enumerate(drive.keys):
-                if key in found.boxes and len(found.boxes[key]):
+                if key in detections.boxes and len(detections.boxes[key]):
                     pose = None if drive.world_T_frame is None else drive.world_T_frame[number]
-                    known = found.prediction_details.get(key, {})
-                    part = _frame_rows(found.boxes[key], place, number, pose, known, number_of, settings)
-                    part["radial"][:, 3:6] = drive.sensor_velocity_m_s[number]
-                    parts.append(part)
-        empty = _frame_rows(Boxes.empty(scored=True), 0, 0, None, {}, number_of, settings)
-        joined = {name: np.concatenate([part[name] for part in (empty, *parts)]) for name in empty}
-        order = np.lexsort(
-            [joined["rows"][:, 1], joined["rows"][:, 0], -joined["score"], joined["drive"], joined["number"]]
-        )
-        self.columns = {name: values[order] for name, values in joined.items()}
-        most = max((len(drive.keys) for drive in drives), default=0)
-        self.start = np.searchsorted(self.columns["number"], np.arange(most + 1))
-        fields = ("drive", "rows", "velocity_m_s", "ray_m", "score", "label", "radial")
-        self.seen = DetectionBatch(**{name: self.columns[name] for name in fields}, source=np.arange(len(order)))
+                    details = detections.prediction_details.get(key, {})
+                    columns = _frame_rows(
+                        detections.boxes[key], drive_number, number, pose, details, label_numbers, settings
+                    )
+                    columns["radial"][:, 3:6] = drive.sensor_velocity_m_s[number]
+                    frames.append(columns)
+        table = {name: np.concatenate([columns[name] for columns in frames]) for name in frames[0]}
+        order = np.lexsort([table["rows"][:, 1], table["rows"][:, 0], -table["score"], table["drive"], table["number"]])
+        self.columns = {name: values[order] for name, values in table.items()}
+        longest = max((len(drive.keys) for drive in drives), default=0)
+        self.start = np.searchsorted(self.columns["number"], np.arange(longest + 1))
+        names = ("drive", "rows", "velocity_m_s", "ray_m", "score", "label", "radial")
+        self.detections = DetectionBatch(**{name: self.columns[name] for name in names}, source=np.arange(len(order)))
 
     def frame(self, number: int) -> DetectionBatch:
         """Detections of the frame of this number of all drives."""
-        return self.seen[slice(self.start[number], self.start[number + 1])]
+        return self.detections[slice(self.start[number], self.start[number + 1])]
 
-    def assembled(self, shown: list[tuple[int, Tracks]]) -> tuple[dict[Key, Boxes], dict[Key, np.ndarray]]:
-        """Reported tracks as boxes in their frames' coordinates, and the boxes in the image."""
+    def boxes_of(self, reported: list[tuple[int, Tracks]]) -> tuple[dict[Key, Boxes], dict[Key, np.ndarray]]:
+        """Reported tracks, by frame number, as boxes in their frames' coordinates, and the boxes in the image."""
         boxes = {key: Boxes.empty(scored=True) for drive in self.drives for key in drive.keys}
         box_px = {key: np.zeros((0, 4)) for key in boxes}
-        for number, tracks in shown:
+        for number, tracks in reported:
             bounds = np.searchsorted(tracks.drive, np.arange(len(self.drives) + 1))
-            for place in np.unique(tracks.drive).tolist():
-                part = tracks[np.arange(bounds[place], bounds[place + 1])]
-                key = self.drives[place].keys[number]
-                boxes[key] = self._boxes(part, place, number)
-                box_px[key] = self.columns["box_px"][part.source]
+            for drive in np.unique(tracks.drive).tolist():
+                of_drive = tracks[np.arange(bounds[drive], bounds[drive + 1])]
+                key = self.drives[drive].keys[number]
+                boxes[key] = self._boxes(of_drive, drive, number)
+                box_px[key] = self.columns["box_px"][of_drive.source]
         return boxes, box_px
 
-    def _boxes(self, part: Tracks, place: int, number: int) -> Boxes:
-        rows = np.column_stack([part.place_m, part.size_m, part.yaw_rad])
+    def _boxes(self, tracks: Tracks, drive: int, number: int) -> Boxes:
+        rows = np.column_stack([tracks.position_m, tracks.size_m, tracks.yaw_rad])
         if self.settings.output == "detection":
-            rows = np.where((part.misses == 0)[:, None], self.seen.rows[part.source], rows)
+            rows = np.where((tracks.misses == 0)[:, None], self.detections.rows[tracks.source], rows)
         if self.settings.anchor == "bottom":
             rows[:, 2] += rows[:, 5] / 2
         boxes = Boxes(
             centre_m=rows[:, :3],
             size_m=np.maximum(rows[:, 3:6], 1e-3),
             yaw_rad=rows[:, 6],
-            label=[self.labels[number] for number in part.label.tolist()],
-            score=part.score,
-            track_id=part.name,
-            velocity_m_s=part.speed if self.settings.time == "seconds" else None,
+            label=[self.labels[number] for number in tracks.label.tolist()],
+            score=tracks.score,
+            track_id=tracks.track_id,
+            velocity_m_s=tracks.velocity if self.settings.time == "seconds" else None,
         )
-        pose = self.drives[place].world_T_frame
+        pose = self.drives[drive].world_T_frame
         return boxes if pose is None else boxes.transform(np.linalg.inv(pose[number]))
 
 
@@ -147,17 +461,19 @@ def _frame_rows(
     drive: int,
     number: int,
     pose: Float[np.ndarray, "4 4"] | None,
-    known: Mapping[str, np.ndarray],
-    number_of: dict[str, int],
+    details: Mapping[str, np.ndarray],
+    label_numbers: dict[str, int],
     settings: TrackerSettings,
 ) -> dict[str, np.ndarray]:
     """The columns of one frame's detections that take part."""
-    score = np.ones(len(boxes)) if boxes.score is None else boxes.score
-    kept = np.ones(len(boxes), dtype=bool) if settings.least_score is None else score >= settings.least_score
+    n = len(boxes)
+    box_px = _checked_column(details, "box_px", np.full((n, 4), -1.0))
+    radial = _radial(details, boxes.centre_m, pose)
+    score = np.ones(n) if boxes.score is None else boxes.score
+    takes_part = np.ones(n, dtype=bool) if settings.least_score is None else score >= settings.least_score
     if settings.suppress_iou is not None:
-        kept = _unsuppressed(boxes, score, kept, settings.suppress_iou)
-    sensed = boxes.centre_m
-    boxes, score = boxes[kept], score[kept]
+        takes_part = _suppress(boxes, score, takes_part, settings.suppress_iou)
+    boxes, score = boxes[takes_part], score[takes_part]
     ray = boxes.centre_m
     if pose is not None:
         ray = ray @ pose[:3, :3].T
@@ -165,43 +481,43 @@ def _frame_rows(
     rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
     if settings.anchor == "bottom":
         rows[:, 2] -= rows[:, 5] / 2
-    speed = np.zeros((len(boxes), 2)) if boxes.velocity_m_s is None else np.nan_to_num(boxes.velocity_m_s[:, :2])
+    velocity = np.zeros((len(boxes), 2)) if boxes.velocity_m_s is None else np.nan_to_num(boxes.velocity_m_s[:, :2])
     return {
         "drive": np.full(len(boxes), drive),
         "number": np.full(len(boxes), number),
         "rows": rows,
-        "velocity_m_s": speed,
+        "velocity_m_s": velocity,
         "ray_m": ray[:, :2],
         "score": score,
-        "label": np.array([number_of[str(name)] for name in boxes.label], dtype=np.int64),
-        "box_px": _column(known, "box_px", np.full((len(kept), 4), -1.0))[kept],
-        "radial": _radial(known, sensed, pose)[kept],
+        "label": np.array([label_numbers[str(name)] for name in boxes.label], dtype=np.int64),
+        "box_px": box_px[takes_part],
+        "radial": radial[takes_part],
     }
 
 
 def _radial(
-    known: Mapping[str, np.ndarray], centre_m: Float[np.ndarray, "n 3"], pose: Float[np.ndarray, "4 4"] | None
+    details: Mapping[str, np.ndarray], centre_m: Float[np.ndarray, "n 3"], pose: Float[np.ndarray, "4 4"] | None
 ) -> Float[np.ndarray, "n 7"]:
     """Rays and measured velocities along them; the sensor's velocity is still 0."""
     n = len(centre_m)
-    ray = _column(known, "doppler_ray", centre_m)
+    ray = _checked_column(details, "doppler_ray", centre_m)
     ray = ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-9)
     ray = ray if pose is None else ray @ pose[:3, :3].T
-    return np.column_stack([ray, np.zeros((n, 3)), _column(known, "doppler_m_s", np.full(n, np.nan))])
+    return np.column_stack([ray, np.zeros((n, 3)), _checked_column(details, "doppler_m_s", np.full(n, np.nan))])
 
 
-def _column(known: Mapping[str, np.ndarray], name: str, otherwise: np.ndarray) -> np.ndarray:
+def _checked_column(details: Mapping[str, np.ndarray], name: str, default: np.ndarray) -> np.ndarray:
     """A column of details, checked against the shape that it must have."""
-    values = np.asarray(known[name], dtype=np.float64) if name in known else otherwise
-    if values.shape != otherwise.shape:
-        raise ConfigError(f"{name} of predictions: expected shape {otherwise.shape}, got {values.shape}")
+    values = np.asarray(details[name], dtype=np.float64) if name in details else default
+    if values.shape != default.shape:
+        raise ConfigError(f"{name} of predictions: expected shape {default.shape}, got {values.shape}")
     return values
 
 
-def _unsuppressed(boxes: Boxes, score: np.ndarray, kept: np.ndarray, most: float) -> np.ndarray:
-    """Boxes that overlap no better one that stays."""
+def _suppress(boxes: Boxes, score: np.ndarray, takes_part: np.ndarray, most_iou: float) -> np.ndarray:
+    """Non-maximum suppression: boxes that overlap no better one that stays."""
     iou = pairwise_iou(boxes, boxes)
-    left = np.zeros(len(boxes), dtype=bool)
+    stays = np.zeros(len(boxes), dtype=bool)
     for row in np.argsort(-score, kind="stable").tolist():
-        left[row] = kept[row] and not (iou[row, left] > most).any()
-    return left
+        stays[row] = takes_part[row] and not (iou[row, stays] > most_iou).any()
+    return stays

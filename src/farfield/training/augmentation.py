@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.geometry.boxes import Boxes
-from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
 from farfield.training.bank import ObjectBank, Points
 from farfield.training.config import AugmentationConfig, SparseNear
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from farfield.geometry.boxes import Boxes
+from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.geometry.points import points_in_boxes
 
 Points = Float32[np.ndarray, "_ _"]
 Progress = Callable[[Iterable[int]], Iterable[int]]

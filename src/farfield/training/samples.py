@@ -20,8 +20,7 @@ from farfield.detectors.inputs import CloudInput, cloud_tensor
 from farfield.detectors.network import Assigner
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Frame, Key
-from farfield.geometry.boxes import Boxes
-from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
 from farfield.metrics.oddities import meant_by
 from farfield.training.augmentation import augment
 from farfield.training.bank import LAG, Points, Progress, RollingBank, cut_out

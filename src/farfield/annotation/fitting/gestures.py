@@ -16,7 +16,7 @@ from farfield.annotation.fitting.ground import Ground, above, fit_ground, near
 from farfield.annotation.fitting.lshape import CLOSENESS_BELOW, best_yaw, turned_yaw
 from farfield.annotation.fitting.placing import placed
 from farfield.annotation.fitting.searching import search
-from farfield.geometry.points import inside_box
+from farfield.geometry.boxes import inside_box
 
 XY = Sequence[float] | Float[np.ndarray, " 2"]
 

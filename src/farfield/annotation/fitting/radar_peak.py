@@ -9,8 +9,7 @@ from jaxtyping import Float
 from farfield.annotation.fitting.contract import BoxFit, Prior, boxes_of
 from farfield.annotation.fitting.finishing import headed
 from farfield.annotation.fitting.ground import fit_ground
-from farfield.geometry.boxes import wrap_angle_rad
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes, wrap_angle_rad
 
 
 def fit_radar_peak(

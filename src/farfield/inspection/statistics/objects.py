@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from farfield.frame import Boxes, Cloud
-from farfield.geometry.points import count_points_in_boxes
+from farfield.geometry.boxes import count_points_in_boxes
 
 DISTANCE_EDGES_M = np.geomspace(5.0, 320.0, 25)
 VEHICLE_EDGES_M = np.linspace(0.0, 350.0, 36)

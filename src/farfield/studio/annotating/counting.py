@@ -7,7 +7,7 @@ import numpy as np
 from farfield.annotation.checking import Surroundings
 from farfield.annotation.checking.scene import in_box_axes
 from farfield.frame import Frame
-from farfield.geometry.points import BOX_MARGIN_M
+from farfield.geometry.boxes import BOX_MARGIN_M
 from farfield.studio.showing.cache import Cache
 
 _FRAMES = 6

@@ -10,7 +10,7 @@ from typing import IO, Any
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
-from farfield.jobs.messages import receive, send
+from farfield.jobs.worker import receive, send
 
 Load = Callable[[str], Callable[[Frame], Boxes]]
 

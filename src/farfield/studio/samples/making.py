@@ -21,7 +21,7 @@ from farfield.datasets.cirrus.writer import CirrusWriter
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame
 from farfield.frame.provenance import SIMULATION_FILE
-from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes, points_in_boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes, points_in_boxes
 from farfield.radar.cells import RadarCells
 
 POINTS = 7000

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Int
 
 from farfield.frame import Annotation, Boxes, Frame
-from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes
 from farfield.studio.messages.rows import BoxRow, FrameInfo, PredictedRow
 from farfield.studio.showing.classes import our_class
 from farfield.studio.showing.layers import matrix
