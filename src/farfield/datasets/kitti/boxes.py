@@ -10,7 +10,7 @@ from PIL import Image
 from farfield.errors import DatasetError, plain
 from farfield.files.kitti import KittiObjects
 from farfield.frame import Annotation, Boxes, Camera, CameraField
-from farfield.geometry.image_boxes import image_boxes
+from farfield.geometry.cameras import image_boxes
 from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
 from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, normalised_class
 
