@@ -4,10 +4,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from farfield.detectors.pointrcnn import points as ops
-from farfield.detectors.pointrcnn.points import _farthest_of_one
-from farfield.detectors.pointrcnn.points import _farthest_side_by_side
-from farfield.geometry.boxes import Boxes
-from farfield.geometry.boxes import points_in_boxes
+from farfield.detectors.pointrcnn.points import _farthest_of_one, _farthest_side_by_side
+from farfield.geometry.boxes import Boxes, points_in_boxes
 
 
 def road(rng: np.random.Generator, count: int) -> torch.Tensor:

@@ -19,9 +19,8 @@ from torch.nn import functional
 from farfield.detectors.config import range_weights
 from farfield.detectors.nms import rotated_nms
 from farfield.detectors.pointrcnn.points import BandConfig, first_of_bands
-from farfield.geometry.boxes import Boxes
+from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.iou import pairwise_iou
-from farfield.geometry.points import points_in_boxes
 
 
 class BinConfig(BaseModel):
