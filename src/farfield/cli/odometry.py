@@ -62,8 +62,7 @@ def run(
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.figures.style import check_picture
-    from farfield.odometry.drives import SweepSettings
-    from farfield.odometry.drives import odometry
+    from farfield.odometry.drives import SweepSettings, odometry
     from farfield.odometry.odometry import OdometrySettings
     from farfield.pages.odometry_page import write_odometry
 

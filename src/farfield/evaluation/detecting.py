@@ -19,7 +19,7 @@ from farfield.evaluation.views import as_trained, motion, suitable_clouds
 from farfield.files.spool import DiskDict, alike
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Key
 from farfield.frame.provenance import environment
-from farfield.geometry.points import BOX_MARGIN_M, count_points_in_boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes
 from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run, values
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order

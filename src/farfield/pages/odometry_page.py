@@ -21,8 +21,7 @@ from farfield.figures.style import (
 from farfield.files.atomic import write_bytes, write_text
 from farfield.odometry.drift import way_m
 from farfield.odometry.drives import OdometryTrack
-from farfield.pages.template import PageImage
-from farfield.pages.template import render_template
+from farfield.pages.template import PageImage, render_template
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,10 +13,17 @@ from farfield.files.atomic import write_text
 from farfield.files.clock_logs import read_clock_log
 from farfield.jobs.folders import sweep_out_file
 from farfield.pages.template import PageImage, render_template
-from farfield.sync.exchange import ExchangeClock, summarised
+from farfield.sync.clocks import ExchangeClock, summarised
 from farfield.sync.sources import RecordedStreams
-from farfield.sync.synchronising import StreamPair, SyncResult, best_reference, describe, over_time, synchronise
-from farfield.sync.tables import match_table
+from farfield.sync.synchronising import (
+    StreamPair,
+    SyncResult,
+    best_reference,
+    describe,
+    match_table,
+    over_time,
+    synchronise,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,7 +21,7 @@ from farfield.datasets.cirrus.labels import RawLabels, boxes_from_labels
 from farfield.datasets.maps import none_before
 from farfield.errors import FarfieldError
 from farfield.frame import Annotation, Boxes
-from farfield.geometry.points import BOX_MARGIN_M
+from farfield.geometry.boxes import BOX_MARGIN_M
 from farfield.geometry.poses import pose_from_yaw
 from farfield.inspection.doctor.survey import Finding, Survey
 
