@@ -13,14 +13,8 @@ from jaxtyping import Bool
 
 from farfield.detectors.inputs import CloudInput
 from farfield.errors import ConfigError
-from farfield.geometry.boxes import BOX_MARGIN_M
-from farfield.geometry.boxes import Boxes
-from farfield.geometry.boxes import count_points_in_boxes
-from farfield.simulation.overlay import LIDARS
-from farfield.simulation.overlay import OverlaidWeather
-from farfield.simulation.overlay import overlay
-from farfield.simulation.overlay import overlay_cells
-from farfield.simulation.overlay import preset_bounds
+from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
+from farfield.simulation.overlay import LIDARS, OverlaidWeather, overlay, overlay_cells, preset_bounds
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.icing import BLOCKED_TRANSMISSION, WIDTHS_DEG

@@ -13,14 +13,7 @@ from jaxtyping import Bool, Int
 
 from farfield.errors import ConfigError
 from farfield.files.atomic import write_text
-from farfield.frame import Annotation
-from farfield.frame import Camera
-from farfield.frame import CameraField
-from farfield.frame import Cloud
-from farfield.frame import Frame
-from farfield.frame import Lazy
-from farfield.frame import Sensor
-from farfield.frame import camera_sensor
+from farfield.frame import Annotation, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.geometry.cameras import image_boxes
 from farfield.simulation import labels
 from farfield.simulation.camera.mounts import kitti_camera
