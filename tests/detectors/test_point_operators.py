@@ -124,7 +124,7 @@ def test_group_max_passes_gradcheck(rng):
 def test_three_nearest_equal_all_distances(rng, method, monkeypatch):
     monkeypatch.setattr(ops, "_DISTANCES", 1000)
     query, source = road(rng, 200), road(rng, 60)
-    row, gap = getattr(points, method)(query, source)
+    row, gap = getattr(ops, method)(query, source)
     gaps = torch.cdist(query.double(), source.double())
     torch.testing.assert_close(gap.double(), gaps.sort(1).values[:, :3], rtol=1e-5, atol=1e-5)
     torch.testing.assert_close(gaps.gather(1, row), gap.double(), rtol=1e-5, atol=1e-5)

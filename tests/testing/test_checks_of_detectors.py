@@ -4,6 +4,7 @@ import itertools
 from functools import partial
 
 import pytest
+from pydantic import BaseModel, ConfigDict
 
 torch = pytest.importorskip("torch")
 
@@ -116,3 +117,49 @@ def test_what_a_weights_file_does_not_hold_is_noticed(monkeypatch):
     monkeypatch.setattr("farfield.detectors.pointpillars.network.PointPillars", Forgetful)
     with pytest.raises(AssertionError, match="keep what matters in the state dict"):
         checks.check_weights(Forgetful(config).eval())
+
+
+class TinyConfig(BaseModel):
+    """Settings that do not derive from DetectorConfig."""
+
+    model_config = ConfigDict(frozen=True)
+    name: str = "tiny"
+    class_names: tuple[str, ...] = ("vehicle",)
+    reach_m: float = 32.0
+
+
+class ReachlessConfig(PointPillarsConfig):
+    """Settings that forget to say how far they look."""
+
+    name: str = "reachless"
+
+    @property
+    def reach_m(self):
+        return None
+
+
+def test_settings_that_no_experiment_takes_are_named():
+    """Both passed once, and training failed with texts that named nothing."""
+    network = PointPillars(CONFIG)
+    checks.check_declared(network)
+    for config, message in (
+        (TinyConfig(), r"derive from farfield\.detectors\.DetectorConfig.*TinyConfig"),
+        (ReachlessConfig.model_construct(**dict(CONFIG)), "reach_m of ReachlessConfig to give metres; got None"),
+    ):
+        network._config = config
+        with pytest.raises(AssertionError, match=message):
+            checks.check_declared(network)
+
+
+class Untrainable(PointPillars):
+    """Its losses fail where targets are those of a loader."""
+
+    def losses(self, outputs, targets):
+        raise KeyError("no such target")
+
+
+def test_a_detector_that_an_experiment_cannot_train_is_named(monkeypatch):
+    checks.check_training(PointPillars(CONFIG))
+    monkeypatch.setattr("farfield.detectors.pointpillars.network.PointPillars", Untrainable)
+    with pytest.raises(AssertionError, match=r"train the detector; it failed with KeyError: 'no such target'"):
+        checks.check_training(PointPillars(CONFIG))

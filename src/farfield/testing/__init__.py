@@ -16,7 +16,7 @@ __all__ = ["check_dataset", "check_detector", "check_protocol"]
 
 
 def check_detector(name: str, settings: Mapping[str, Any] | None = None, *, processes: bool = False) -> None:
-    """Check a detector: gradients, assigner, features, order of points, empty clouds, weights files.
+    """Check a detector: gradients, assigner, features, order of points, empty clouds, weights files, training.
 
     Args:
         name: Its name in ``farfield.detectors.DETECTORS``, built in, registered or of an installed package.

@@ -14,14 +14,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from farfield.datasets.memory import in_memory
 from farfield.detectors import DETECTORS, build_detector
+from farfield.detectors.config import DetectorConfig
 from farfield.detectors.features import FeatureMap, FeatureRows, PointFeatures
-from farfield.detectors.inputs import Inputs
+from farfield.detectors.inputs import POSITION, Inputs
 from farfield.detectors.network import Network
 from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import FileFormatError
-from farfield.frame import Boxes
+from farfield.experiments.plan import Plan
+from farfield.experiments.schema import Experiment
+from farfield.frame import Boxes, Cloud, Frame
 
 LARGEST_ASSIGNER = 1_000_000
 """Bytes: what travels to every loader's worker."""
@@ -82,7 +86,19 @@ def tensors_of(outputs: Any) -> list[Tensor]:
 
 
 def check_declared(network: Network) -> None:
-    """What a network declares is there and of its kind."""
+    """What a network and its configuration declare is there and of its kind."""
+    config = network.config
+    assert isinstance(config, DetectorConfig), (
+        f"expected settings that derive from farfield.detectors.DetectorConfig, as experiments and weights files want "
+        f"them; got {type(config).__name__}"
+    )
+    names = config.class_names
+    named = bool(names) and all(isinstance(name, str) for name in names)
+    assert named, (
+        f"expected the property class_names of {type(config).__name__} to give the names of the classes; got {names!r}"
+    )
+    reaches = isinstance(config.reach_m, int | float) and config.reach_m > 0
+    assert reaches, f"expected the property reach_m of {type(config).__name__} to give metres; got {config.reach_m!r}"
     assert network.inputs, "expected at least one entry in inputs"
     assert network.channels > 0, "expected the number of features of a row in channels"
     assert callable(network.assigner), "expected an assigner: assigner(boxes, inputs) -> targets"
@@ -275,6 +291,43 @@ def check_weights(network: Network) -> None:
     )
 
 
+def check_training(network: Network) -> None:
+    """An experiment trains the detector for two steps, and its weights are read again: what ``farfield train`` does."""
+    settings = network.config.model_dump(mode="json")
+    frames = [_frame_of(network, seed) for seed in (5, 6)]
+    clouds: Any = {name: [name] for name in network.inputs}
+    clouds = list(network.inputs) if len(network.inputs) == 1 else clouds
+    with TemporaryDirectory() as folder:
+        try:
+            experiment = Experiment.model_validate(
+                {
+                    "name": "check",
+                    "data": {"path": folder, "clouds": clouds},
+                    "detector": settings,
+                    "training": {"steps": 2, "batch_size": 2, "workers": 0, "accelerator": "cpu", "precision": "fp32"},
+                }
+            )
+            path = Plan(experiment, Path(folder) / "run", {"labelled": in_memory(frames)}).run()
+            loaded, _ = load_weights(path)
+        except Exception as error:
+            raise AssertionError(
+                f"expected an experiment to train the detector; it failed with {type(error).__name__}: {error}"
+            ) from error
+    assert loaded.config == network.config, "expected the settings of an experiment to be those of its weights"
+
+
+def _frame_of(network: Network, seed: int) -> Frame:
+    """The frame of :func:`made_frame` as data sets give it, each input's cloud by the input's name."""
+    batch, boxes = made_frame(network, seed=seed)
+    clouds = {}
+    for name, source in network.inputs.items():
+        columns = dict(zip(source.columns, batch[name][0].numpy().T, strict=True))
+        points_m = np.column_stack([columns.pop(axis) for axis in POSITION])
+        columns.pop("lag_s", None)
+        clouds[name] = Cloud(points_m, columns.pop("intensity", None), columns)
+    return Frame.of(clouds=clouds, boxes=boxes, frame_id=str(seed))
+
+
 CHECKS = (
     check_declared,
     check_gradients,
@@ -286,5 +339,6 @@ CHECKS = (
     check_empty,
     check_order,
     check_weights,
+    check_training,
 )
 """What every network must do; each takes one that was just built."""
