@@ -25,13 +25,13 @@ from farfield.calibration.moments import read_moments
 from farfield.calibration.radar_lidar import calibrate_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.datasets import open_dataset
-from farfield.datasets.cloud_files import read_cloud
 from farfield.datasets.kradar.labels import annotation_of, read_labels
 from farfield.datasets.kradar.texts import read_camera
 from farfield.errors import DatasetError
 from farfield.figures.camera import boxes_picture
 from farfield.files.images import read_image, write_image
 from farfield.frame import Boxes, Frame
+from farfield.frame.cloud import read_cloud
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
 

@@ -11,9 +11,9 @@ import farfield as ff
 from farfield.api import open_dataset
 from farfield.cli import main
 from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import CloudFiles
 from farfield.datasets.convert import convert
 from farfield.datasets.folder import write_boxes
+from farfield.datasets.memory import CloudFiles
 from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation import detect, detections_from_boxes
 from farfield.frame import Annotation, Boxes, Cloud, Frame

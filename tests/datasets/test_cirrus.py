@@ -7,9 +7,9 @@ import pytest
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter, Mapping, read_mapping
 from farfield.datasets.cirrus.layout import Pairing, pair, segment_numbers
-from farfield.datasets.cloud_files import cache_path, write_rows_cache
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Sensor, merge_clouds
+from farfield.frame.cloud import cache_path, write_rows_cache
 from farfield.geometry.poses import pose_from_yaw, quaternion_from_yaw
 
 START_NS = 1_558_131_117_608_556_768

@@ -8,7 +8,6 @@ from street import street_frame
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
-from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path
 from farfield.datasets.convert import convert
 from farfield.datasets.folder import write_boxes
 from farfield.datasets.kradar.store import JOURNAL_NAME
@@ -16,6 +15,7 @@ from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.clouds import write_bin
 from farfield.frame import Boxes
+from farfield.frame.cloud import CACHE_FOLDER, cache_path
 from farfield.jobs import run
 from farfield.metrics import reading
 

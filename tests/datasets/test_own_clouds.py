@@ -7,11 +7,12 @@ import pytest
 
 import farfield as ff
 from farfield.api import open_dataset
-from farfield.datasets.cloud_files import CloudFiles, read_cloud
+from farfield.datasets.memory import CloudFiles
 from farfield.errors import DatasetError, FileFormatError
 from farfield.evaluation import detect
 from farfield.files.pcd import write_pcd
 from farfield.frame import Boxes, Cloud, Frame
+from farfield.frame.cloud import read_cloud
 from farfield.inspection.doctor import examine
 
 

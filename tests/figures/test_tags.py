@@ -106,7 +106,7 @@ def test_every_picture_has_the_same_threshold() -> None:
 def test_predict_gives_what_the_api_gives_and_draws_on_camera_images(tmp_path, monkeypatch, capsys) -> None:
     pytest.importorskip("torch")
     from farfield.cli import main
-    from farfield.datasets.cloud_files import CloudFiles
+    from farfield.datasets.memory import CloudFiles
 
     rng = np.random.default_rng(4)
     ground = np.column_stack([rng.uniform(3, 60, 4000), rng.uniform(-12, 12, 4000), rng.normal(-2, 0.03, 4000)])

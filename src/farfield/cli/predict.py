@@ -165,7 +165,7 @@ class _CountedPredictions:
 
 def _frames(files: tuple[Path, ...], rotate_deg: float, columns: int | None) -> "Dataset":
     from farfield.datasets import open_dataset
-    from farfield.datasets.cloud_files import CloudFiles
+    from farfield.datasets.memory import CloudFiles
     from farfield.errors import DatasetError
 
     if len(files) == 1 and files[0].is_dir():

@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.drives import Indices, Poses, all_known, all_poses
+from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
 from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image

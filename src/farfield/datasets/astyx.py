@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.drives import Indices
+from farfield.datasets.base import Dataset, Indices
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.astyx import LIDAR_COLUMNS, RADAR_COLUMNS, read_objects, read_points, read_sensors
 from farfield.files.images import image_size, read_image

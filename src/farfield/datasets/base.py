@@ -3,21 +3,90 @@
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from farfield.datasets.drives import Indices, Poses, before_each, by_sequence, cut, gather, seen
-from farfield.datasets.maps.contract import FrameMap, described
-from farfield.datasets.maps.coordinates import Move
-from farfield.datasets.splits import SPLIT_FILE, assign_splits, cut_in_time, read_parts
-from farfield.errors import ConfigError, DatasetError
+from farfield.datasets.frame_maps import MAPS, FrameMap, described
+from farfield.datasets.splits import SPLIT_FILE, read_parts, split_indices
+from farfield.errors import ConfigError
 from farfield.frame import Annotation, Drive, Frame, Key
+
+Indices = Int[np.ndarray, " _"]
+Poses = Float[np.ndarray, "_ 4 4"]
+
+
+def by_sequence(sequences: Sequence[str]) -> dict[str, Indices]:
+    """Indices of the frames of each sequence, in their order.
+
+    >>> by_sequence(("a", "b", "a"))
+    {'a': array([0, 2]), 'b': array([1])}
+    """
+    members: dict[str, list[int]] = {}
+    for index, sequence in enumerate(sequences):
+        members.setdefault(sequence, []).append(index)
+    return {name: np.array(indices, dtype=np.int64) for name, indices in members.items()}
+
+
+def before_each(drives: Iterable[Indices], count: int) -> Indices:
+    """Index of the frame before each of ``count`` frames in its drive, -1 where there is none."""
+    before = np.full(count, -1, dtype=np.int64)
+    for indices in drives:
+        before[indices[1:]] = indices[:-1]
+    return before
+
+
+def all_known(times_ns: Iterable[int | None]) -> Indices | None:
+    """Times as an array; None where one is not known."""
+    times = list(times_ns)
+    return None if None in times else np.array(times, dtype=np.int64)
+
+
+def all_poses(poses: Iterable[Float[np.ndarray, "4 4"] | None]) -> Poses | None:
+    """Poses as an array; None where one is not known."""
+    listed = list(poses)
+    present = [pose for pose in listed if pose is not None]
+    return np.stack(present).astype(np.float64) if present and len(present) == len(listed) else None
+
+
+def selected_rows(indices: Indices, positions: Mapping[int, Sequence[int]]) -> tuple[Indices, Indices]:
+    """Rows of a drive that were selected, and their indices in the selection.
+
+    Args:
+        indices: The drive's indices in the whole data set.
+        positions: Where in the selection an index of the whole data set stands.
+    """
+    pairs = [(row, position) for row, index in enumerate(indices.tolist()) for position in positions.get(index, ())]
+    rows, own = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return rows, own
+
+
+def cut_drive(drive: Drive, rows: Indices, indices: Indices) -> Drive:
+    """Some rows of a drive, with their indices in another data set."""
+    return replace(
+        drive,
+        indices=indices,
+        keys=tuple(drive.keys[row] for row in rows),
+        times_ns=None if drive.times_ns is None else drive.times_ns[rows],
+        world_T_frame=None if drive.world_T_frame is None else drive.world_T_frame[rows],
+    )
+
+
+def mapped_drive(drive: Drive, function: FrameMap) -> Drive:
+    """A drive as a map shows it: its poses where the map brings some, or says what becomes of them."""
+    poses_of = getattr(function, "poses_of", None)
+    if poses_of is not None:
+        return replace(drive, world_T_frame=poses_of(drive.keys))
+    if drive.world_T_frame is None:
+        return drive
+    moved_poses = getattr(function, "moved_poses", None)
+    return replace(drive, world_T_frame=None if moved_poses is None else moved_poses(drive.world_T_frame))
 
 
 class Dataset(ABC):
@@ -138,13 +207,13 @@ class Dataset(ABC):
 
         Of a selection it is that of the whole data set.
         """
-        found = self._at(index, k)
-        return None if found is None else self.frame(found)
+        earlier = self._at(index, k)
+        return None if earlier is None else self.frame(earlier)
 
     def files_before(self, index: int, k: int) -> Sequence[Path]:
         """Files of the k-th frame before frame ``index`` in its drive; none where there is no such frame."""
-        found = self._at(index, k)
-        return () if found is None else self.files(found)
+        earlier = self._at(index, k)
+        return () if earlier is None else self.files(earlier)
 
     @property
     def unwrapped(self) -> "Dataset":
@@ -181,11 +250,11 @@ class Dataset(ABC):
 
     def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "Dataset":
         """Return the data set with every frame (clouds, boxes, poses, cameras) moved rigidly into another frame."""
-        return self.mapped(Move(target_T_frame))
+        return self.mapped(MAPS["move"](target_T_frame))
 
     def turned(self, yaw_deg: float | int) -> "Dataset":
         """Return the data set with every frame turned counter-clockwise about z, such as 180 to look backwards."""
-        return self.mapped(Move.turned(yaw_deg))
+        return self.mapped(MAPS["move"].turned(yaw_deg))
 
     def split_units(self) -> tuple[str, ...]:
         """Name what must not be torn apart by a split, one name a frame: its drive, or itself where it is in none."""
@@ -211,29 +280,18 @@ class Dataset(ABC):
             ConfigError: If there is no such part.
             DatasetError: If there are fewer than three sequences to deal out, or no drives to cut in time.
         """
-        if name.startswith("time-") and by == "sequence":  # as one word, for files and flags
-            name, by = name.removeprefix("time-"), "time"
-        if by == "time":
-            drives = self.drive_indices()
-            if not drives and len(self):
-                raise DatasetError(f"{self.root}: cannot be cut in time, its frames are shuffled. Split by 'sequence'.")
-            return self.select(cut_in_time(drives.values(), name))
-        if by == "benchmark":
-            members = self._benchmark(name)
-            return self.select([index for index, key in enumerate(self.keys) if key in members])
-        if by != "sequence":
-            raise ConfigError(f"split: expected by to be one of 'sequence', 'time', 'benchmark', got {by!r}")
-        units = self.split_units()
-        parts = self._split_from_file() or assign_splits(units, root=self.root)
-        if name not in parts:
-            raise ConfigError(f"{self.root}: expected a split, one of {', '.join(parts)}; got {name!r}")
-        chosen = set(parts[name])
-        return self.select([index for index, unit in enumerate(units) if unit in chosen])
+        return self.select(split_indices(self, name, by=by))
 
-    def _split_from_file(self) -> dict[str, list[str]]:
+    def split_parts(self) -> dict[str, list[str]]:
+        """The units of each part as a file of the data set gives them; empty where none does."""
         return read_parts(self.root / self.split_file, self.split_units())
 
-    def _benchmark(self, name: str) -> Set[Key]:
+    def benchmark_keys(self, name: str) -> Set[Key]:
+        """(sequence, frame) of a part that the format's authors published.
+
+        Raises:
+            ConfigError: If there is no such part.
+        """
         raise ConfigError(f"{self.root}: {self.name} has no parts {name!r} beside those of split(name).")
 
     def fingerprint(self) -> str:
@@ -285,21 +343,22 @@ class Subset(Dataset):
 
     def drives(self) -> tuple[Drive, ...]:
         """The drives' frames that were selected, in the order of time."""
-        places = self._places()
-        found = ((drive, gather(drive.indices, places)) for drive in self.parent.drives())
-        return tuple(cut(drive, rows, own) for drive, (rows, own) in found if len(rows))
+        positions = self._positions()
+        selected = ((drive, selected_rows(drive.indices, positions)) for drive in self.parent.drives())
+        return tuple(cut_drive(drive, rows, own) for drive, (rows, own) in selected if len(rows))
 
     def drive_indices(self) -> Mapping[str, Indices]:
         """Indices of each drive's selected frames in the order of time."""
-        places = self._places()
-        own = {name: gather(indices, places)[1] for name, indices in self.parent.drive_indices().items()}
+        positions = self._positions()
+        own = {name: selected_rows(indices, positions)[1] for name, indices in self.parent.drive_indices().items()}
         return {name: indices for name, indices in own.items() if len(indices)}
 
-    def _places(self) -> dict[int, list[int]]:
-        places: dict[int, list[int]] = {}
-        for place, index in enumerate(self.indices):
-            places.setdefault(index, []).append(place)
-        return places
+    def _positions(self) -> dict[int, list[int]]:
+        """Where each of the parent's indices stands in the selection."""
+        positions: dict[int, list[int]] = {}
+        for position, index in enumerate(self.indices):
+            positions.setdefault(index, []).append(position)
+        return positions
 
     def before(self, index: int, k: int) -> Frame | None:
         """The k-th frame before frame ``index`` in its drive of the whole data set."""
@@ -330,11 +389,13 @@ class Subset(Dataset):
         units = self.parent.split_units()
         return tuple(units[index] for index in self.indices)
 
-    def _split_from_file(self) -> dict[str, list[str]]:
-        return self.parent._split_from_file()
+    def split_parts(self) -> dict[str, list[str]]:
+        """The units of each part as a file of the whole data set gives them."""
+        return self.parent.split_parts()
 
-    def _benchmark(self, name: str) -> Set[Key]:
-        return self.parent._benchmark(name)
+    def benchmark_keys(self, name: str) -> Set[Key]:
+        """(sequence, frame) of a part that the format's authors published."""
+        return self.parent.benchmark_keys(name)
 
 
 class Mapped(Subset):
@@ -362,7 +423,7 @@ class Mapped(Subset):
 
     def drives(self) -> tuple[Drive, ...]:
         """The drives; their poses where the map says what becomes of them."""
-        return tuple(seen(drive, self.function) for drive in self.parent.drives())
+        return tuple(mapped_drive(drive, self.function) for drive in self.parent.drives())
 
     def before(self, index: int, k: int) -> Frame | None:
         """The k-th frame before frame ``index``, seen through the map as well."""

@@ -11,7 +11,6 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
-from farfield.datasets.cloud_files import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
 from farfield.datasets.folder import Folder
 from farfield.datasets.kitti.object import KittiWriter
 from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
@@ -27,6 +26,7 @@ from farfield.files.openlabel import format_openlabel
 from farfield.files.pcd import write_pcd
 from farfield.files.sustechpoints import format_calibration, format_sustechpoints
 from farfield.frame import Boxes, Cloud, Frame, Key
+from farfield.frame.cloud import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
 from farfield.jobs import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
 from farfield.jobs.folders import locked, sweep_out
 
@@ -127,7 +127,7 @@ def verify(
     return faults(work.units(), JobJournal(target / JOURNAL_NAME, work.setting))
 
 
-def check_apart(target: Path, data: Dataset | Sequence[Frame]) -> None:
+def check_apart(target: Path, data: Dataset) -> None:
     """Refuse to write over what is read: the data's folder, or one of its files.
 
     Args:
@@ -137,12 +137,12 @@ def check_apart(target: Path, data: Dataset | Sequence[Frame]) -> None:
     Raises:
         ConfigError: If they meet.
     """
-    place, files = target.resolve(), getattr(data, "files", None)
-    if isinstance(data, Dataset) and data.stored and place == data.root.resolve():
+    path = target.resolve()
+    if data.stored and path == data.root.resolve():
         raise ConfigError(f"{target}: expected a folder beside the data, got their own: they would be written over")
-    chosen = range(0, len(data), max(1, len(data) // 100)) if files is not None else ()
-    read = {Path(file).resolve() for index in chosen for file in (files(index) if files is not None else ())}
-    if place in read or (not target.suffix and place in {file.parent for file in read}):
+    sample = range(0, len(data), max(1, len(data) // 100))
+    sources = {Path(file).resolve() for index in sample for file in data.files(index)}
+    if path in sources or (not target.suffix and path in {file.parent for file in sources}):
         raise ConfigError(
             f"{target}: expected another name, got that of data which are read: they would be written over"
         )

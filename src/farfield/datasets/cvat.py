@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
 from farfield.datasets.labels.json_labels import DatumaroLabels, SuperviselyLabels, annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError
@@ -25,6 +24,7 @@ from farfield.files.datumaro import parse_datumaro
 from farfield.files.supervisely import parse_supervisely
 from farfield.files.tracklets import parse_tracklets
 from farfield.frame import Annotation, Frame, Lazy, Sensor
+from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
 
 _KITTI_CLOUDS, _TRACKLETS = "velodyne_points/data", "tracklet_labels.xml"
 ByFrame = Mapping[str, tuple[Cuboid, ...]]

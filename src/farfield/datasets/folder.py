@@ -26,15 +26,14 @@ import yaml
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from farfield.datasets.base import Dataset
+from farfield.datasets.base import Dataset, Indices, all_known
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
-from farfield.datasets.cloud_files import CLOUD_SUFFIXES, columns_shown, read_cloud
-from farfield.datasets.drives import Indices, all_known
 from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
 from farfield.frame import Annotation, Boxes, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import CLOUD_SUFFIXES, columns_shown, read_cloud
 
 TABLE_NAME = "labels.csv"
 _BOX_FOLDERS = ("", "boxes", "labels")

@@ -1,11 +1,13 @@
-"""Frames that are in memory already, as a data set: what lies above the readers knows nothing else."""
+"""Frames without a data set's folder, as a data set: those in memory, and single cloud files."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.drives import Indices, Poses, all_known, all_poses
-from farfield.frame import Frame
+from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
+from farfield.errors import DatasetError
+from farfield.frame import Frame, Key
+from farfield.frame.cloud import read_cloud
 
 
 class InMemory(Dataset):
@@ -61,3 +63,47 @@ def in_memory(frames: Dataset | Iterable[Frame], *, in_order: bool = False) -> D
     InMemory(frames: 1, sequences: 1)
     """
     return frames if isinstance(frames, Dataset) else InMemory(frames, in_order=in_order)
+
+
+class CloudFiles(Dataset):
+    """Single clouds as frames, each read when it is indexed and not kept; like frames in memory they have no drives.
+
+    Args:
+        paths: The files; a file's name is its frame's. Where two have one name, their folders are their sequences.
+        bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
+
+    Raises:
+        DatasetError: If a file is named twice, or two cannot be told apart.
+    """
+
+    name = "files"
+    root = Path()
+    stored = False
+
+    def __init__(self, paths: Sequence[Path], *, bin_columns: int | None = None) -> None:
+        self.paths, self.bin_columns = tuple(paths), bin_columns
+        alone = len({path.stem for path in self.paths}) == len(self.paths)
+        self.sequences = tuple("files" if alone else path.resolve().parent.name for path in self.paths)
+        self.frame_ids = tuple(path.stem for path in self.paths)
+        double: Key | None = next((key for key, count in Counter(self.keys).items() if count > 1), None)
+        if double is not None:
+            same = ", ".join(str(path) for path, key in zip(self.paths, self.keys, strict=True) if key == double)
+            raise DatasetError(f"{same}: expected each cloud once, and names or folders that differ; both are {double}")
+
+    def frame(self, index: int) -> Frame:
+        """Read cloud ``index``."""
+        cloud = read_cloud(self.paths[index], bin_columns=self.bin_columns)
+        return Frame.of(cloud, sequence=self.sequences[index], frame_id=self.frame_ids[index])
+
+    def files(self, index: int) -> tuple[Path, ...]:
+        """The file of a frame."""
+        return (self.paths[index],)
+
+    def has_annotation(self, index: int) -> bool:
+        """Never: a cloud file holds no boxes."""
+        del index
+        return False
+
+    def drive_indices(self) -> dict[str, Indices]:
+        """None: nothing says in which order they were taken."""
+        return {}

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.drives import Indices, all_known
+from farfield.datasets.base import Dataset, Indices, all_known
 from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image

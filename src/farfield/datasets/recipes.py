@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.maps import Coordinates, FrameMap, LabelsAt, Move, Posed, WholeBodies, described, make
+from farfield.datasets.frame_maps import MAPS, FrameMap, described, make
 from farfield.errors import ConfigError
 
 RADAR_OPTIONS = ("radar_rate", "radar_region", "radar_over")
@@ -23,21 +23,21 @@ def maps_of_options(options: Mapping[str, Any]) -> list[FrameMap]:
     Raises:
         ConfigError: If a value is not one of those possible.
     """
-    found: list[FrameMap] = []
+    maps: list[FrameMap] = []
     if options.get("poses") is not None:
-        found.append(Posed(Path(options["poses"])))
+        maps.append(MAPS["posed"](Path(options["poses"])))
     if options.get("reference") is not None:
-        found.append(Coordinates(str(options["reference"])))
+        maps.append(MAPS["coordinates"](str(options["reference"])))
     radar = {name.removeprefix("radar_"): options[name] for name in RADAR_OPTIONS if name in options}
     if radar:
-        found.append(make("radar_view", radar))
+        maps.append(make("radar_view", radar))
     if options.get("labels_at"):
-        found.append(LabelsAt(str(options["labels_at"])))
+        maps.append(MAPS["labels_at"](str(options["labels_at"])))
     if options.get("whole_bodies"):
-        found.append(WholeBodies())
+        maps.append(MAPS["whole_bodies"]())
     if options.get("rotate_deg"):
-        found.append(Move.turned(options["rotate_deg"]))
-    return found
+        maps.append(MAPS["move"].turned(options["rotate_deg"]))
+    return maps
 
 
 def recipe_of_experiment(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -50,8 +50,8 @@ def recipe_of_experiment(data: Mapping[str, Any]) -> dict[str, Any]:
     maps = [described(function) for function in maps_of_options(options)]
     maps += [{"name": "sweeps", "settings": {"count": count}}] if count > 1 else []
     views = ("poses", "reference", "labels_at", "whole_bodies", "rotate_deg", *RADAR_OPTIONS)
-    kept = {name: value for name, value in options.items() if name not in views}
-    return {"format": None, "options": kept, "maps": maps}
+    own = {name: value for name, value in options.items() if name not in views}
+    return {"format": None, "options": own, "maps": maps}
 
 
 def recipe_of_provenance(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -61,7 +61,7 @@ def recipe_of_provenance(provenance: Mapping[str, Any]) -> Mapping[str, Any]:
         provenance: What weights hold; those of earlier versions have the experiment's options and sweeps alone.
     """
     streams = provenance.get("streams") or {}
-    recipe: Mapping[str, Any] | None = next((one.get("recipe") for one in streams.values()), None)
+    recipe: Mapping[str, Any] | None = next((stream.get("recipe") for stream in streams.values()), None)
     return recipe or recipe_of_experiment((provenance.get("experiment") or {}).get("data") or {})
 
 
@@ -85,15 +85,15 @@ def replay(data: Dataset, recipe: Mapping[str, Any]) -> Dataset:
     reader = data.unwrapped
     native = [described(function) for function in reader.maps]
     own = list(data.maps[len(native) :])
-    wanted = [make(one["name"], one["settings"]) for one in recipe.get("maps", ())]
-    fitting = [one for one in wanted if described(one) not in native and _fits(one, reader)]
+    recorded = [make(entry["name"], entry["settings"]) for entry in recipe.get("maps", ())]
+    fitting = [function for function in recorded if described(function) not in native and _fits(function, reader)]
     merged = _merged(own, fitting)
-    if [described(one) for one in merged] == [described(one) for one in own]:
+    if [described(function) for function in merged] == [described(function) for function in own]:
         return data
-    seen, origins = reader, data.origins
+    replayed = reader
     for function in merged:
-        seen = seen.mapped(function)
-    return seen if origins == tuple(range(len(reader))) else seen.select(origins)
+        replayed = replayed.mapped(function)
+    return replayed if data.origins == tuple(range(len(reader))) else replayed.select(data.origins)
 
 
 def _fits(function: FrameMap, reader: Dataset) -> bool:
@@ -101,15 +101,15 @@ def _fits(function: FrameMap, reader: Dataset) -> bool:
     return fits is None or bool(fits(reader))
 
 
-def _merged(own: Sequence[FrameMap], wanted: Sequence[FrameMap]) -> list[FrameMap]:
-    """The wanted maps, the data's own in the place of those that do not overrule them, and what else the data have."""
+def _merged(own: Sequence[FrameMap], recorded: Sequence[FrameMap]) -> list[FrameMap]:
+    """A recipe's maps, the data's own in the place of those that do not overrule them, and what else the data have."""
     merged: list[FrameMap] = []
-    for one in wanted:
-        present = [other for other in own if other.name == one.name]
-        overrules = bool(getattr(one, "overrules", False))
-        merged += present if present and not overrules else [one]
-    names = {one.name for one in wanted}
-    return merged + [one for one in own if one.name not in names]
+    for function in recorded:
+        present = [other for other in own if other.name == function.name]
+        overrules = bool(getattr(function, "overrules", False))
+        merged += present if present and not overrules else [function]
+    names = {function.name for function in recorded}
+    return merged + [function for function in own if function.name not in names]
 
 
 def plain(value: Any) -> Any:
@@ -123,9 +123,9 @@ def plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Mapping):
-        return {str(name): plain(one) for name, one in value.items()}
+        return {str(name): plain(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain(entry) for entry in value]
     if value is None or isinstance(value, str | int | float | bool):
         return value
     raise ConfigError(f"Expected an option that JSON can hold, got {type(value).__name__}: {value!r}")

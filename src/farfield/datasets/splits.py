@@ -1,21 +1,79 @@
-"""Deal frames out to train, val and test, whole units together."""
+"""Assign frames to train, val and test, whole units together: from a file, by a hash of their names, or cut in time."""
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Int
 
 from farfield.errors import ConfigError, DatasetError, plain
+from farfield.frame import Key
 
 SPLIT_SHARES = {"train": 0.70, "val": 0.15, "test": 0.15}
 SPLIT_FILE = Path("splits") / "cirrus_v1.json"
 
 
+class Splittable(Protocol):
+    """What a split needs to know of a data set."""
+
+    @property
+    def root(self) -> Path:
+        """Its folder."""
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """(sequence, frame) of every frame."""
+
+    def drive_indices(self) -> Mapping[str, Int[np.ndarray, " _"]]:
+        """Indices of each drive's frames in the order of time."""
+
+    def split_units(self) -> tuple[str, ...]:
+        """What must not be torn apart, one name a frame."""
+
+    def split_parts(self) -> dict[str, list[str]]:
+        """The units of each part as a file gives them."""
+
+    def benchmark_keys(self, name: str) -> Set[Key]:
+        """The frames of a published part."""
+
+
+def split_indices(data: Splittable, name: str, *, by: str = "sequence") -> list[int]:
+    """Indices of the frames of a part; see :meth:`farfield.datasets.base.Dataset.split`.
+
+    Args:
+        data: The data set.
+        name: The part: ``"train"``, ``"val"``, ``"test"``, or, cut in time, ``"time-train"``...
+        by: ``"sequence"``, ``"time"`` or ``"benchmark"``.
+
+    Raises:
+        ConfigError: If there is no such part.
+        DatasetError: If there are fewer than three units to assign, or no drives to cut in time.
+    """
+    if name.startswith("time-") and by == "sequence":  # as one word, for files and flags
+        name, by = name.removeprefix("time-"), "time"
+    if by == "time":
+        drives = data.drive_indices()
+        if not drives and len(data.keys):
+            raise DatasetError(f"{data.root}: cannot be cut in time, its frames are shuffled. Split by 'sequence'.")
+        return cut_in_time(drives.values(), name)
+    if by == "benchmark":
+        members = data.benchmark_keys(name)
+        return [index for index, key in enumerate(data.keys) if key in members]
+    if by != "sequence":
+        raise ConfigError(f"split: expected by to be one of 'sequence', 'time', 'benchmark', got {by!r}")
+    units = data.split_units()
+    parts = data.split_parts() or assign_splits(units, root=data.root)
+    if name not in parts:
+        raise ConfigError(f"{data.root}: expected a split, one of {', '.join(parts)}; got {name!r}")
+    chosen = set(parts[name])
+    return [index for index, unit in enumerate(units) if unit in chosen]
+
+
 def assign_splits(units: Sequence[str], *, root: Path) -> dict[str, list[str]]:
-    """Deal whole units out to train, val and test by the hash of their names, near the shares asked for.
+    """Assign whole units to train, val and test by the hash of their names, near the shares 70, 15 and 15 %.
 
     Args:
         units: Unit of every frame.
@@ -34,10 +92,11 @@ def assign_splits(units: Sequence[str], *, root: Path) -> dict[str, list[str]]:
     order = sorted(range(len(names)), key=lambda i: hashlib.sha256(str(names[i]).encode()).digest())
     parts: dict[str, list[str]] = {"train": [], "val": [], "test": []}
     for part in ("val", "test"):
-        taken, aim = 0, SPLIT_SHARES[part] * counts.sum()
+        frames = 0
+        target = SPLIT_SHARES[part] * counts.sum()
         left_for_others = 1 if part == "test" else 2
-        while len(order) > left_for_others and (not parts[part] or taken + counts[order[0]] / 2 < aim):
-            taken += counts[order[0]]
+        while len(order) > left_for_others and (not parts[part] or frames + counts[order[0]] / 2 < target):
+            frames += counts[order[0]]
             parts[part].append(str(names[order.pop(0)]))
     parts["train"] = [str(names[i]) for i in order]
     return parts

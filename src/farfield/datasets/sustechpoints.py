@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
 from farfield.datasets.labels.json_labels import SustechLabels, annotation_of
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
@@ -22,6 +21,7 @@ from farfield.files.images import image_size, read_image
 from farfield.files.json_text import parse_json
 from farfield.files.sustechpoints import MAX_BYTES, parse_sustechpoints
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
 
 _IMAGES = (".jpg", ".jpeg", ".png")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from farfield.datasets import Dataset, open_dataset
-from farfield.datasets.drives import Indices
+from farfield.datasets.base import Indices
 from farfield.detectors.runtime import Detector
 from farfield.evaluation import detect
 from farfield.figures.birds_eye import Window, in_window

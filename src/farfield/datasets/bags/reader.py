@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, Shaped, UInt8
 
 from farfield.datasets.bags.transforms import Transforms
-from farfield.datasets.base import Dataset
-from farfield.datasets.drives import Indices, Poses, all_poses
+from farfield.datasets.base import Dataset, Indices, Poses, all_poses
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
 from farfield.files.point_cloud2 import read_points

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from farfield.datasets.base import Dataset
+from farfield.datasets.base import Dataset, Indices, all_known
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
 from farfield.datasets.cirrus.labels import RawLabels, annotation_from_labels, read_labels
 from farfield.datasets.cirrus.layout import (
@@ -21,11 +21,10 @@ from farfield.datasets.cirrus.layout import (
     read_mapping,
     time_of,
 )
-from farfield.datasets.cloud_files import intensity_scale_of, read_rows
-from farfield.datasets.drives import Indices, all_known
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.frame import Annotation, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import intensity_scale_of, read_rows
 from farfield.vocabulary.patterns import PATTERNS
 
 # Sweeps: one .xyz file as a cloud.

@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
 from farfield.datasets.edits.journal import FOLDER, JOURNAL, Cell, Record, label_of, read_journal
+from farfield.datasets.frame_maps import Earlier
 from farfield.datasets.labels.formats import BoxLabel
-from farfield.datasets.maps.contract import Earlier
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.geometry.boxes import wrap_angle_rad

@@ -13,9 +13,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import columns_shown, read_cloud
-from farfield.datasets.drives import Indices
+from farfield.datasets.base import Dataset, Indices
 from farfield.datasets.kitti.boxes import (
     annotation_of,
     boxes_from_objects,
@@ -30,6 +28,7 @@ from farfield.files.clouds import read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
 _IMAGE_SUFFIXES = (".png", ".jpg")
@@ -90,14 +89,14 @@ class Kitti(Dataset):
         """No drives: the set shuffles their frames."""
         return {}
 
-    def _split_from_file(self) -> dict[str, list[str]]:
+    def split_parts(self) -> dict[str, list[str]]:
         """Use the usual lists ``ImageSets/{train,val,test}.txt`` where they stand in the root."""
         parts: dict[str, list[str]] = {}
         for name in ("train", "val", "test"):
             path = self.root / "ImageSets" / f"{name}.txt"
             if path.is_file():
                 parts[name] = path.read_text("ascii").split()
-        return parts or super()._split_from_file()
+        return parts or super().split_parts()
 
     def _file(self, index: int, kind: str, suffix: str) -> Path | None:
         path = self.folder / kind / f"{self.frame_ids[index]}{suffix}"

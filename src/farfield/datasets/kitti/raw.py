@@ -13,9 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import columns_shown, read_cloud
-from farfield.datasets.drives import Indices
+from farfield.datasets.base import Dataset, Indices
 from farfield.datasets.labels.json_labels import annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError, FileFormatError
@@ -26,6 +24,7 @@ from farfield.files.kitti_raw import read_raw_calib, read_record, rectified, rig
 from farfield.files.stamps import read_stamps, recognise_stamps
 from farfield.files.tracklets import parse_tracklets
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.geometry.poses import invert, pose
 
 CLOUDS, CAMERAS = "velodyne_points", ("image_00", "image_01", "image_02", "image_03")

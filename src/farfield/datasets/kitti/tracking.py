@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import columns_shown, read_cloud
 from farfield.datasets.kitti.boxes import annotation_of, boxes_from_objects, camera_from_calib, sized_camera
 from farfield.datasets.kitti.object import mounted
 from farfield.errors import DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiTracks, read_calib, read_tracking
 from farfield.frame import Annotation, CameraField, Frame, Lazy
+from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
 _LABEL_FOLDERS = ("label_02", "label")

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.drives import Indices, Poses, all_known, all_poses
+from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
 from farfield.datasets.kradar.index import FileIndex, KRadarFiles, find_sequences, index_sequence, radar_geometry
 from farfield.datasets.kradar.label_table import LabelTable, read_label_table
 from farfield.datasets.kradar.labels import KRadarLabels, annotation_of, read_labels
@@ -214,7 +213,8 @@ class KRadar(Dataset):
         """
         return self.split(name, by="benchmark")
 
-    def _benchmark(self, name: str) -> Set[Key]:
+    def benchmark_keys(self, name: str) -> Set[Key]:
+        """(sequence, frame) of the frames of ``train`` or ``test``, see :meth:`benchmark_split`."""
         if name not in ("train", "test"):
             raise ConfigError(f"benchmark_split: expected train or test, got {name!r}")
         path = self._files.find(SPLIT_FOLDER / f"{name}.txt")
@@ -239,8 +239,9 @@ class KRadar(Dataset):
         found = (int(index) for index in indices)
         return all_poses(self._pose(index, self._record(self.entries[index])) for index in found)
 
-    def _split_from_file(self) -> dict[str, list[str]]:
-        return super()._split_from_file() or split_of_sequences(self.sequences)
+    def split_parts(self) -> dict[str, list[str]]:
+        """The sequences of each part: of ``splits/kradar_v1.json`` in the root, or else ours of the published set."""
+        return super().split_parts() or split_of_sequences(self.sequences)
 
     def _indices(
         self, entry: KRadarFiles, raw: KRadarLabels | None = None, record: FrameRecord | None = None

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
-from farfield.datasets.maps.contract import Earlier
+from farfield.datasets.frame_maps import Earlier
 from farfield.errors import DatasetError
 from farfield.frame import Annotation, Boxes, Frame
 from farfield.geometry.poses import invert, transform_points

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 from pydantic import BaseModel, ConfigDict, Field
 
-from farfield.datasets.maps.contract import Earlier
+from farfield.datasets.frame_maps import Earlier
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Cloud, Frame, Key, Lazy
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
-from farfield.datasets.maps.contract import Earlier
+from farfield.datasets.frame_maps import Earlier
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame, Lazy, Pose, transform_frame
 from farfield.geometry.poses import invert, pose_from_yaw

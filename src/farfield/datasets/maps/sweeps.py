@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
-from farfield.datasets.maps.contract import Earlier
+from farfield.datasets.frame_maps import Earlier
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.poses_csv import PoseTable, read_poses
 from farfield.frame import Cloud, Frame, Lazy, Pose

@@ -13,9 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.cloud_files import read_cloud
-from farfield.datasets.drives import Indices, all_known
+from farfield.datasets.base import Dataset, Indices, all_known
 from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
 from farfield.datasets.maps import Coordinates, FrameMap, TransformedCloud
 from farfield.datasets.splits import SPLIT_SHARES
@@ -38,6 +36,7 @@ from farfield.frame import (
     Sensor,
     camera_sensor,
 )
+from farfield.frame.cloud import read_cloud
 from farfield.geometry.kitti import upright_from_camera
 from farfield.geometry.poses import rotation_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_VIEW_OF_DELFT, normalised_class
@@ -150,10 +149,10 @@ class ViewOfDelft(Dataset):
         """Name what the official lists name, single frames; the lists keep clips whole."""
         return self.frame_ids
 
-    def _split_from_file(self) -> dict[str, list[str]]:
+    def split_parts(self) -> dict[str, list[str]]:
         """Use ``ImageSets/{train,val,test}.txt`` where they are, or else the documented part of each clip."""
         if (self.root / self.split_file).is_file():
-            return super()._split_from_file()
+            return super().split_parts()
         places = [folder / "ImageSets" for tree in self.trees.values() for folder in (tree.parent, tree)]
         for place in [self.root / "ImageSets", *places]:
             lists = {name: place / f"{name}.txt" for name in SPLIT_SHARES}

@@ -145,7 +145,7 @@ def _complete(recording: Recording, sequence: int, index: int) -> list[Path]:
         return []
     if not recording.cache:
         return [*paths.values()]
-    from farfield.datasets.cloud_files import cache_path, is_fresh
+    from farfield.frame.cloud import cache_path, is_fresh
 
     caches = {paths[name]: cache_path(paths[name], writer.root) for name in frame.clouds if name in paths}
     fresh = all(is_fresh(cache, path) for path, cache in caches.items())
@@ -243,7 +243,7 @@ def write_whole(preset: "Preset", frame: "Frame", out: Path, *, cache: bool = Fa
         paths = writer.write(frame)
         written = [*paths.values()]
         if cache:
-            from farfield.datasets.cloud_files import write_rows_cache
+            from farfield.frame.cloud import write_rows_cache
 
             written += [write_rows_cache(paths[name], writer.root) for name in frame.clouds]
         files = [path for path in sorted(staging.rglob("*")) if path.is_file()]

@@ -1,9 +1,13 @@
-"""What a map on frames is: a function of a frame and the frames before it, with a name and settings that JSON takes."""
+"""Maps on frames: functions of a frame and the frames before it, each with a name and settings that JSON takes."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
+from pydantic import ValidationError
+
+from farfield.errors import ConfigError, plain
 from farfield.frame import Frame
+from farfield.registry import Registry
 
 Earlier = Callable[[int], Frame | None]
 """``earlier(k)`` is the k-th frame before the present one in its drive, k >= 1; None where there is none."""
@@ -27,7 +31,7 @@ class FrameMap(Protocol):
 
     @property
     def name(self) -> str:
-        """The name by which :func:`farfield.datasets.maps.make` knows it; a plain attribute of its class will do."""
+        """The name by which :func:`make` knows it; a plain attribute of its class will do."""
 
     def settings(self) -> Mapping[str, Any]:
         """Its settings, as JSON takes them."""
@@ -45,3 +49,43 @@ def none_before(k: int) -> Frame | None:
 def described(function: FrameMap) -> dict[str, Any]:
     """A map as JSON: ``{"name": ..., "settings": {...}}``."""
     return {"name": function.name, "settings": dict(function.settings())}
+
+
+MAPS: Registry[Any] = Registry(
+    "farfield.maps",
+    "map of frames",
+    {
+        "common_radar": "farfield.datasets.maps.common_radar:CommonRadar",
+        "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
+        "edited": "farfield.datasets.edits.edited:Edited",
+        "labels_at": "farfield.datasets.maps.annotations:LabelsAt",
+        "move": "farfield.datasets.maps.coordinates:Move",
+        "posed": "farfield.datasets.maps.sweeps:Posed",
+        "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
+        "sweeps": "farfield.datasets.maps.sweeps:Sweeps",
+        "whole_bodies": "farfield.datasets.maps.annotations:WholeBodies",
+    },
+)
+
+
+def make(name: str, settings: Mapping[str, Any]) -> FrameMap:
+    """Make a map from its name and settings, such as a recipe has them.
+
+    Args:
+        name: One of :data:`MAPS`.
+        settings: Its settings; those left out have their defaults.
+
+    Raises:
+        ConfigError: If there is no such map, or a setting is unknown or impossible.
+
+    >>> make("sweeps", {"count": 4})
+    Sweeps(count=4)
+    """
+    kind = MAPS[name]
+    try:
+        checked = kind.Settings.model_validate(dict(settings))
+    except ValidationError as error:
+        known = ", ".join(kind.Settings.model_fields)
+        raise ConfigError(f"map {name!r}: {plain(error)}. It has the settings {known}.") from error
+    function: FrameMap = kind(**checked.model_dump())
+    return function
