@@ -45,8 +45,8 @@ def read_feather(path: Path, names: Sequence[str]) -> Table:
         table = pyarrow.feather.read_table(pyarrow.BufferReader(read_bytes(path)), memory_map=False)
         missing = [name for name in names if name not in table.column_names]
         if missing:
-            found = f"columns {', '.join(table.column_names)[:200]}"
-            raise FileFormatError(path, where="the header", expected=f"columns {', '.join(names)}", found=found)
+            actual = f"columns {', '.join(table.column_names)[:200]}"
+            raise FileFormatError(path, where="the header", expected=f"columns {', '.join(names)}", found=actual)
         table.validate(full=True)
         holed = [name for name in names if table.column(name).null_count]
         if holed:
@@ -167,10 +167,12 @@ class Argoverse2(Dataset):
 
     def __init__(self, root: Path | str, *, classes: Literal["cirrus", "argoverse2"] = "cirrus") -> None:
         self.root, self.classes = Path(root), classes
-        places = ("", "*/", "*/*/")
-        found = {path.parents[2] for prefix in places for path in self.root.glob(f"{prefix}{_SWEEPS}")}
-        found |= {path.parent for prefix in places for name in _ANNOTATIONS for path in self.root.glob(prefix + name)}
-        self.logs = [_Log(path) for path in sorted(found)]
+        prefixes = ("", "*/", "*/*/")
+        folders = {path.parents[2] for prefix in prefixes for path in self.root.glob(f"{prefix}{_SWEEPS}")}
+        folders |= {
+            path.parent for prefix in prefixes for name in _ANNOTATIONS for path in self.root.glob(prefix + name)
+        }
+        self.logs = [_Log(path) for path in sorted(folders)]
         self._index = [(log, time_ns, sweep) for log in self.logs for time_ns, sweep in log.stamps]
         if not self._index:
             expected = f"Argoverse 2 sweeps in <log>/{_SWEEPS}, or <log>/{_ANNOTATIONS[0]}"
@@ -245,12 +247,12 @@ def _read_sweep(path: Path) -> Cloud:
     points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float32)
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0][0])
-        found = str(points[row].tolist())
-        raise FileFormatError(path, where=f"point {row}", expected="finite coordinates", found=found)
+        actual = str(points[row].tolist())
+        raise FileFormatError(path, where=f"point {row}", expected="finite coordinates", found=actual)
     strength = table["intensity"].astype(np.float32) / np.float32(255)
     if not ((strength >= 0) & (strength <= 1)).all():
-        found = f"{strength.min() * 255:g} to {strength.max() * 255:g}"
-        raise FileFormatError(path, where="column intensity", expected="values from 0 to 255", found=found)
+        actual = f"{strength.min() * 255:g} to {strength.max() * 255:g}"
+        raise FileFormatError(path, where="column intensity", expected="values from 0 to 255", found=actual)
     return Cloud(points, strength, {"ring": table["laser_number"], "offset_ns": table["offset_ns"]})
 
 

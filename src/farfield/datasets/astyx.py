@@ -24,8 +24,8 @@ _REFLECTIVITY_FULL = 255.0
 
 def root_of(folder: Path) -> Path | None:
     """Where the radar's folder stands: in the folder, or in the one of the archive's name in it."""
-    places = (folder, folder / "dataset_astyx_hires2019")
-    return next((place for place in places if any((place / RADAR).glob("*.txt"))), None)
+    candidates = (folder, folder / "dataset_astyx_hires2019")
+    return next((candidate for candidate in candidates if any((candidate / RADAR).glob("*.txt"))), None)
 
 
 class Astyx(Dataset):
@@ -68,9 +68,9 @@ class Astyx(Dataset):
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
-        wanted = ((RADAR, ".txt"), (LIDAR, ".txt"), (CAMERA, ".jpg"), ("calibration", ".json"))
-        found = [self._file(index, *each) for each in (*wanted, ("groundtruth_obj3d", ".json"))]
-        return [path for path in found if path is not None]
+        sensors = ((RADAR, ".txt"), (LIDAR, ".txt"), (CAMERA, ".jpg"), ("calibration", ".json"))
+        paths = [self._file(index, *kind) for kind in (*sensors, ("groundtruth_obj3d", ".json"))]
+        return [path for path in paths if path is not None]
 
     def has_annotation(self, index: int) -> bool:
         """Whether there are boxes of frame ``index``."""
@@ -84,16 +84,16 @@ class Astyx(Dataset):
         """
         lidar, picture = self._file(index, LIDAR, ".txt"), self._file(index, CAMERA, ".jpg")
         calibration, labels = self._file(index, "calibration", ".json"), self._file(index, "groundtruth_obj3d", ".json")
-        known = {} if calibration is None else read_sensors(calibration)
+        calibrated = {} if calibration is None else read_sensors(calibration)
         clouds = {"radar": partial(_read_radar, self.folder / RADAR / f"{self.frame_ids[index]}.txt")}
         sensors = {"radar": Sensor(kind="radar", frame_T_sensor=np.eye(4))}
         if lidar is not None:
-            if LIDAR not in known:
+            if LIDAR not in calibrated:
                 raise DatasetError(f"{lidar}: expected its pose in calibration/{self.frame_ids[index]}.json")
-            pose = known[LIDAR]["T_to_ref_COS"]
+            pose = calibrated[LIDAR]["T_to_ref_COS"]
             clouds["lidar"] = partial(_read_lidar, lidar, pose)
             sensors["lidar"] = Sensor(kind="lidar", frame_T_sensor=pose)
-        cameras = _cameras(known.get(CAMERA, {}), picture)
+        cameras = _cameras(calibrated.get(CAMERA, {}), picture)
         if cameras or picture is not None:
             sensors["camera"] = camera_sensor(cameras.get("camera"))
         return Frame(
@@ -135,17 +135,17 @@ def _read_annotation(path: Path, classes: str) -> Annotation:
     objects = read_objects(path)
     if not objects:
         return Annotation(boxes=Boxes.empty())
-    w, x, y, z = np.array([each.quaternion for each in objects]).T
-    names = [each.name for each in objects]
+    w, x, y, z = np.array([item.quaternion for item in objects]).T
+    names = [item.name for item in objects]
     ours = names if classes == "astyx" else [normalised_class(name, CIRRUS_FROM_ASTYX) for name in names]
     boxes = Boxes(
-        centre_m=np.array([each.centre_m for each in objects]),
-        size_m=np.array([each.size_m for each in objects]),
+        centre_m=np.array([item.centre_m for item in objects]),
+        size_m=np.array([item.size_m for item in objects]),
         yaw_rad=np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
         label=ours,
     )
     details = {
-        "occlusion": np.array([each.occlusion for each in objects]),
-        "certainty": np.array([each.certainty for each in objects]),
+        "occlusion": np.array([item.occlusion for item in objects]),
+        "certainty": np.array([item.certainty for item in objects]),
     }
     return Annotation(boxes=boxes, original_label=tuple(names), details=details)

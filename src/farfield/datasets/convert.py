@@ -191,15 +191,15 @@ def _to_cache(dataset: Dataset, overwrite: bool, bulk: JobOptions) -> Outcome:
     if not sources:
         raise DatasetError(f"{dataset.root}: expected ASCII clouds (.xyz) to cache; the clouds are binary already")
     sources = list(dict.fromkeys(sources))
-    missing = [each for each in sources if overwrite or not is_fresh(cache_path(each[0], each[1]), each[0])]
+    missing = [source for source in sources if overwrite or not is_fresh(cache_path(source[0], source[1]), source[0])]
     folders = {root / CACHE_FOLDER for _, root, _ in missing}
     _sweep(folders)
     units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
     try:
-        done = run(_CloudCache(delimiter), units, bulk)
+        outcome = run(_CloudCache(delimiter), units, bulk)
     finally:
         _sweep(folders)  # a worker that was killed left what it was at
-    return Outcome(written=done.written, skipped=len(sources) - done.written)
+    return Outcome(written=outcome.written, skipped=len(sources) - outcome.written)
 
 
 def _sweep(folders: Iterable[Path]) -> None:
@@ -303,7 +303,7 @@ def _times(dataset: Dataset) -> list[int]:
     """A time for every frame: its name where that is one, else made up with a pause between sequences."""
     if all(name.isdigit() and 16 <= len(name) <= 19 for name in dataset.frame_ids):
         return [int(name) for name in dataset.frame_ids]
-    order = {name: place for place, name in enumerate(dict.fromkeys(dataset.sequences))}
+    order = {name: position for position, name in enumerate(dict.fromkeys(dataset.sequences))}
     return [_FIRST_NS + index * 100_000_000 + order[name] * _PAUSE_NS for index, name in enumerate(dataset.sequences)]
 
 
@@ -373,7 +373,7 @@ def box_rows(frames: Iterable[tuple[Key, Boxes | None]], *, reference: str = "")
     filled = [(key, boxes) for key, boxes in frames if boxes is not None and len(boxes)]
     together = Boxes.concatenate([boxes for _, boxes in filled]) if filled else Boxes.empty()
     counts = [len(boxes) for _, boxes in filled]
-    sequences, frame_ids = ([key[place] for key, _ in filled] for place in (0, 1))
+    sequences, frame_ids = ([key[row] for key, _ in filled] for row in (0, 1))
     return BoxRows(
         sequence=np.repeat(np.array(sequences, dtype=np.str_), counts),
         frame=np.repeat(np.array(frame_ids, dtype=np.str_), counts),
@@ -394,8 +394,8 @@ def box_rows(frames: Iterable[tuple[Key, Boxes | None]], *, reference: str = "")
 
 def views(dataset: Dataset) -> str:
     """What else decides how a data set is seen: its reader's options and its maps; empty where there are none."""
-    told = {name: dataset.recipe.get(name) for name in ("options", "maps")}
-    return f" {json.dumps(told, sort_keys=True, default=str)}" if any(told.values()) else ""
+    recipe = {name: dataset.recipe.get(name) for name in ("options", "maps")}
+    return f" {json.dumps(recipe, sort_keys=True, default=str)}" if any(recipe.values()) else ""
 
 
 def boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:

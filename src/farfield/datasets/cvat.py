@@ -39,35 +39,35 @@ class CvatTask:
     labels: tuple[Path, ...]
     parse: Callable[[bytes, Path], tuple[Cuboid, ...]]
 
-    def label_file(self, place: int) -> Path | None:
+    def label_file(self, index: int) -> Path | None:
         """The label file of a cloud."""
         if self.parse is not parse_supervisely:
             return self.labels[0]
-        name = self.clouds[place].name
+        name = self.clouds[index].name
         return next((path for path in self.labels if path.name == f"{name}.json"), None)
 
-    def frame_names(self, place: int) -> tuple[str, ...]:
+    def frame_names(self, index: int) -> tuple[str, ...]:
         """How label files may call a cloud: its stem, or its number."""
-        stem = self.clouds[place].stem
-        return (stem, str(int(stem)) if stem.isascii() and stem.isdigit() else str(place), "")
+        stem = self.clouds[index].stem
+        return (stem, str(int(stem)) if stem.isascii() and stem.isdigit() else str(index), "")
 
 
 def tasks(root: Path) -> list[CvatTask]:
     """The tasks in a folder: itself, or those in it, at most two folders down."""
-    places = [root, *sorted(root.glob("*")), *sorted(root.glob("*/*"))]
-    found = [task for folder in places if folder.is_dir() and (task := _task(folder)) is not None]
-    return [task for task in found if not any(task.folder.is_relative_to(o.folder) for o in found if o is not task)]
+    folders = [root, *sorted(root.glob("*")), *sorted(root.glob("*/*"))]
+    members = [task for folder in folders if folder.is_dir() and (task := _task(folder)) is not None]
+    return [task for task in members if not any(task.folder.is_relative_to(o.folder) for o in members if o is not task)]
 
 
 def _task(folder: Path) -> CvatTask | None:
-    for parse, pattern, place in (
+    for parse, pattern, cloud_folder in (
         (_datumaro, "annotations/*.json", "point_clouds"),
         (parse_tracklets, _TRACKLETS, _KITTI_CLOUDS),
         (parse_supervisely, "ann/*.json", "pointcloud"),
     ):
         labels = tuple(sorted(folder.glob(pattern)))
-        if labels and (folder / place).is_dir():
-            paths = sorted((folder / place).rglob("*"))
+        if labels and (folder / cloud_folder).is_dir():
+            paths = sorted((folder / cloud_folder).rglob("*"))
             clouds = tuple(path for path in paths if path.suffix in CLOUD_SUFFIXES and path.is_file())
             return CvatTask(folder, clouds, labels, parse) if clouds else None
     return None
@@ -95,35 +95,35 @@ class Cvat(Dataset):
         if not self.tasks:
             looked = f"annotations/*.json with point_clouds, {_TRACKLETS} with {_KITTI_CLOUDS}, ann with pointcloud"
             raise DatasetError(f"{self.root}: expected a task of CVAT, found none. Looked for {looked}")
-        self.frames = [(task, place) for task in self.tasks for place in range(len(task.clouds))]
+        self.frames = [(task, index) for task in self.tasks for index in range(len(task.clouds))]
         self.sequences = tuple(task.folder.resolve().name for task, _ in self.frames)
-        self.frame_ids = tuple(task.clouds[place].stem for task, place in self.frames)
+        self.frame_ids = tuple(task.clouds[index].stem for task, index in self.frames)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
-        task, place = self.frames[index]
-        label = task.label_file(place)
-        return [task.clouds[place], *([] if label is None else [label])]
+        task, cloud_index = self.frames[index]
+        label = task.label_file(cloud_index)
+        return [task.clouds[cloud_index], *([] if label is None else [label])]
 
     def has_annotation(self, index: int) -> bool:
         """Whether there is a label file for frame ``index``; a frame that it does not mention has no objects."""
-        task, place = self.frames[index]
-        return task.label_file(place) is not None
+        task, cloud_index = self.frames[index]
+        return task.label_file(cloud_index) is not None
 
     def annotation(self, index: int) -> Annotation | None:
         """The boxes of frame ``index``."""
-        task, place = self.frames[index]
-        return _annotation(task, place) if self.has_annotation(index) else None
+        task, cloud_index = self.frames[index]
+        return _annotation(task, cloud_index) if self.has_annotation(index) else None
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
-        task, place = self.frames[index]
+        task, cloud_index = self.frames[index]
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
-            clouds=Lazy({"lidar": partial(read_cloud, task.clouds[place])}),
+            clouds=Lazy({"lidar": partial(read_cloud, task.clouds[cloud_index])}),
             sensors={"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))},
-            load_annotation=partial(_annotation, task, place) if self.has_annotation(index) else None,
+            load_annotation=partial(_annotation, task, cloud_index) if self.has_annotation(index) else None,
             metadata={"files": [str(path) for path in self.files(index)]},
         )
 
@@ -135,10 +135,10 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
     """
     if all(task.parse is parse_tracklets for task in data.tasks):
         frames = zip(data.keys, data.frames, strict=True)
-        return TrackletLabels({key: (task.labels[0], int(task.frame_names(place)[1])) for key, (task, place) in frames})
+        return TrackletLabels({key: (task.labels[0], int(task.frame_names(index)[1])) for key, (task, index) in frames})
     if all(task.parse is parse_supervisely for task in data.tasks):
-        places = zip(data.keys, data.frames, strict=True)
-        return SuperviselyLabels({key: _ann(task, place) for key, (task, place) in places})
+        entries = zip(data.keys, data.frames, strict=True)
+        return SuperviselyLabels({key: _ann(task, index) for key, (task, index) in entries})
     files = [task.labels[0] for task in data.tasks if task.parse is _datumaro]
     if len(files) == len(data.tasks) == 1:
         return DatumaroLabels(files[0])
@@ -146,25 +146,25 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
     return DatumaroLabels(data.root) if named and len(files) == len(data.tasks) else None
 
 
-def _ann(task: CvatTask, place: int) -> Path:
+def _ann(task: CvatTask, index: int) -> Path:
     """The annotation file of a cloud, or where it would stand."""
-    return task.label_file(place) or task.folder / "ann" / f"{task.clouds[place].name}.json"
+    return task.label_file(index) or task.folder / "ann" / f"{task.clouds[index].name}.json"
 
 
-def _annotation(task: CvatTask, place: int) -> Annotation:
-    path = task.label_file(place)
+def _annotation(task: CvatTask, index: int) -> Annotation:
+    path = task.label_file(index)
     assert path is not None
     status = path.stat()
     by_frame = _parsed(path, task.parse, status.st_mtime_ns, status.st_size)
-    found = next((by_frame[name] for name in task.frame_names(place) if name in by_frame), ())
-    return annotation_of(found)
+    cuboids = next((by_frame[name] for name in task.frame_names(index) if name in by_frame), ())
+    return annotation_of(cuboids)
 
 
 @lru_cache(maxsize=4)
 def _parsed(path: Path, parse: Callable[[bytes, Path], tuple[Cuboid, ...]], changed_ns: int, size: int) -> ByFrame:
     """The cuboids of a file by frame; one file holds all frames of a task, and is parsed once while it stays."""
     del changed_ns, size
-    found: dict[str, list[Cuboid]] = {}
+    cuboids_by_frame: dict[str, list[Cuboid]] = {}
     for cuboid in parse(read_bytes(path), path):
-        found.setdefault(cuboid.frame, []).append(cuboid)
-    return {name: tuple(cuboids) for name, cuboids in found.items()}
+        cuboids_by_frame.setdefault(cuboid.frame, []).append(cuboid)
+    return {name: tuple(cuboids) for name, cuboids in cuboids_by_frame.items()}

@@ -221,9 +221,9 @@ class Folder(Dataset):
                 f"{self.table_path}: expected boxes of the clouds beside it, such as frame {self.frame_ids[0]!r}; its "
                 f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files."
             )
-        known, stems = set(self.frame_ids), [self._stems(folder) for folder in _BOX_FOLDERS]
-        for place, folder in enumerate(_BOX_FOLDERS):
-            twice = min((known & stems[place]).intersection(*[set().union(*stems[place + 1 :])]), default=None)
+        cloud_stems, stems = set(self.frame_ids), [self._stems(folder) for folder in _BOX_FOLDERS]
+        for row, folder in enumerate(_BOX_FOLDERS):
+            twice = min((cloud_stems & stems[row]).intersection(*[set().union(*stems[row + 1 :])]), default=None)
             if twice is not None:
                 raise DatasetError(
                     f"{self.root}: expected one annotation a frame, found two of {twice!r}: one in "
@@ -240,20 +240,20 @@ class Folder(Dataset):
 
     def _stems(self, folder: str) -> set[str]:
         """Stems of the annotations in a folder."""
-        place = self.root / folder
-        return {path.stem for path in place.glob("*.json")} if place.is_dir() else set()
+        path = self.root / folder
+        return {path.stem for path in path.glob("*.json")} if path.is_dir() else set()
 
     @property
     def strays(self) -> tuple[str, ...]:
         """Annotations of frames that have no cloud: files of boxes, and frames of the table."""
-        known = set(self.frame_ids)
-        files = (f"{folder}/{stem}.json" for folder in _BOX_FOLDERS if folder for stem in self._stems(folder) - known)
-        return (*sorted(files), *(f"{TABLE_NAME}: {name}" for name in self._table if name not in known))
+        stems = set(self.frame_ids)
+        files = (f"{folder}/{stem}.json" for folder in _BOX_FOLDERS if folder for stem in self._stems(folder) - stems)
+        return (*sorted(files), *(f"{TABLE_NAME}: {name}" for name in self._table if name not in stems))
 
     def _beside(self, index: int, folders: Sequence[str], suffixes: Sequence[str]) -> Path | None:
         stem = self.frame_ids[index]
-        places = (self.root / folder / f"{stem}{suffix}" for folder in folders for suffix in suffixes)
-        return next((path for path in places if path.is_file()), None)
+        candidates = (self.root / folder / f"{stem}{suffix}" for folder in folders for suffix in suffixes)
+        return next((path for path in candidates if path.is_file()), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""

@@ -276,21 +276,21 @@ class _Register:
         return reader
 
 
-def format_of(name: str, thing: Any) -> Format:
+def format_of(name: str, registered: Any) -> Format:
     """What a package registered as a format: a :class:`Format`, or a reader class that describes itself.
 
     Raises:
         ConfigError: If it is neither.
     """
-    if isinstance(thing, Format):
-        return thing
-    looked_for, recognises = getattr(thing, "looked_for", None), getattr(thing, "recognises", None)
+    if isinstance(registered, Format):
+        return registered
+    looked_for, recognises = getattr(registered, "looked_for", None), getattr(registered, "recognises", None)
     if not (isinstance(looked_for, str) and callable(recognises)):
         raise ConfigError(
             f"data set format {name!r}: expected a Format, or a Dataset class with looked_for and "
-            f"recognises(root); got {thing!r}"
+            f"recognises(root); got {registered!r}"
         )
-    return Format(name=name, looked_for=looked_for, recognises=recognises, reader=thing)
+    return Format(name=name, looked_for=looked_for, recognises=recognises, reader=registered)
 
 
 def find_format(name: str) -> Format:
@@ -324,13 +324,13 @@ def _foreign(name: str, root: Path) -> bool:
 
 def looked_for() -> dict[str, str]:
     """What each format is recognised by; of one that cannot be used, why."""
-    found = {}
+    texts = {}
     for name in DATASETS.names():
         try:
-            found[name] = find_format(name).looked_for
+            texts[name] = find_format(name).looked_for
         except (PluginError, ConfigError) as error:
-            found[name] = f"cannot be used: {error}"
-    return found
+            texts[name] = f"cannot be used: {error}"
+    return texts
 
 
 _EVERYWHERE = ("poses", "rotate_deg")  # options of every format
@@ -381,9 +381,9 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
 def _inside(root: Path) -> str:
     """A sentence on data sets one folder deeper."""
     folders = sorted(entry for entry in root.iterdir() if entry.is_dir())[:50]
-    known = {entry.name: name for entry in folders if (name := recognise(entry)) is not None}
-    shown = ", ".join(f"{entry} ({name})" for entry, name in list(known.items())[:3])
-    return f"One folder deeper there is {shown}: open that. " if known else ""
+    format_of_folder = {entry.name: name for entry in folders if (name := recognise(entry)) is not None}
+    shown = ", ".join(f"{entry} ({name})" for entry, name in list(format_of_folder.items())[:3])
+    return f"One folder deeper there is {shown}: open that. " if format_of_folder else ""
 
 
 def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> set[str]:
@@ -414,8 +414,8 @@ def _viewed(data: Dataset, options: Mapping[str, Any]) -> Dataset:
         )
     reference = options.get("reference")
     if reference is not None and reference not in data.references:
-        known = " or ".join(data.references)
-        raise ConfigError(f"open_dataset: expected reference {known} for {data.name}, got {reference!r}")
+        offered = " or ".join(data.references)
+        raise ConfigError(f"open_dataset: expected reference {offered} for {data.name}, got {reference!r}")
     usual = [("coordinates", {"reference": own}) for own in data.references[:1]]
     usual += [("radar_view", {})] if "radar_rate" in data.view_options else []
     changes_nothing = [described(make(name, settings)) for name, settings in usual]

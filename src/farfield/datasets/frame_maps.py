@@ -85,7 +85,7 @@ def make(name: str, settings: Mapping[str, Any]) -> FrameMap:
     try:
         checked = kind.Settings.model_validate(dict(settings))
     except ValidationError as error:
-        known = ", ".join(kind.Settings.model_fields)
-        raise ConfigError(f"map {name!r}: {plain(error)}. It has the settings {known}.") from error
+        names = ", ".join(kind.Settings.model_fields)
+        raise ConfigError(f"map {name!r}: {plain(error)}. It has the settings {names}.") from error
     function: FrameMap = kind(**checked.model_dump())
     return function

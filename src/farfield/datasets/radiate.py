@@ -110,12 +110,12 @@ class Radiate(Dataset):
     def _paths(self, index: int) -> dict[str, tuple[Path, int | None]]:
         """Files and times of frame ``index`` by product; a sensor without a sweep near enough is left out."""
         folder, stem, time_ns = self.folders[self.sequences[index]], self.frame_ids[index], self._time_ns(index)
-        found = {name: (folder / place / f"{stem}.png", time_ns) for name, place in _PICTURES.items()}
+        files = {name: (folder / subfolder / f"{stem}.png", time_ns) for name, subfolder in _PICTURES.items()}
         for sensor, suffix in (("velo_lidar", ".csv"), ("zed_left", ".png"), ("zed_right", ".png")):
             near = _nearest(self._listed(self.sequences[index], sensor), time_ns)
             if near is not None:
-                found[sensor] = (folder / sensor / f"{near[0]:06d}{suffix}", near[1])
-        return {name: (path, time) for name, (path, time) in found.items() if path.is_file()}
+                files[sensor] = (folder / sensor / f"{near[0]:06d}{suffix}", near[1])
+        return {name: (path, time) for name, (path, time) in files.items() if path.is_file()}
 
     def _times_of(self, indices: Indices) -> Indices | None:
         return all_known(self._time_ns(int(index)) for index in indices)
@@ -159,15 +159,15 @@ class Radiate(Dataset):
 def _sensors(paths: Mapping[str, tuple[Path, int | None]], time_ns: int | None) -> dict[str, Sensor]:
     """Where each sensor stands in the radar's coordinates; of the cameras that is not known."""
     times = {name: time for name, (_, time) in paths.items()}
-    known = {"radar": Sensor(kind="radar", frame_T_sensor=np.eye(4), time_ns=time_ns)}
+    sensors = {"radar": Sensor(kind="radar", frame_T_sensor=np.eye(4), time_ns=time_ns)}
     if "velo_lidar" in times:
         radar_T_lidar = pose(np.eye(3), np.array(RADAR_T_LIDAR_M))
-        known["lidar"] = Sensor(kind="lidar", frame_T_sensor=radar_T_lidar, time_ns=times["velo_lidar"])
+        sensors["lidar"] = Sensor(kind="lidar", frame_T_sensor=radar_T_lidar, time_ns=times["velo_lidar"])
     for name in _PICTURES:
         if name in times:
-            known[name] = Sensor(kind="radar", frame_T_sensor=np.eye(4), in_frame=False, time_ns=times[name])
+            sensors[name] = Sensor(kind="radar", frame_T_sensor=np.eye(4), in_frame=False, time_ns=times[name])
     cameras = {name: camera_sensor(None, times[name]) for name in ("zed_left", "zed_right") if name in times}
-    return known | cameras
+    return sensors | cameras
 
 
 def find_sequences(root: Path) -> list[Path]:
@@ -178,12 +178,12 @@ def find_sequences(root: Path) -> list[Path]:
 
 
 def _holds_pictures(folder: Path) -> bool:
-    return any(next(iter((folder / place).glob("*.png")), None) is not None for place in _PICTURES.values())
+    return any(next(iter((folder / subfolder).glob("*.png")), None) is not None for subfolder in _PICTURES.values())
 
 
 def radar_frames(folder: Path) -> list[int]:
     """Numbers of the radar frames whose picture is there, in order."""
-    stems = {path.stem for place in _PICTURES.values() for path in (folder / place).glob("*.png")}
+    stems = {path.stem for subfolder in _PICTURES.values() for path in (folder / subfolder).glob("*.png")}
     return sorted(int(stem) for stem in stems if len(stem) == 6 and stem.isascii() and stem.isdigit())
 
 
@@ -248,8 +248,8 @@ def lidar_cloud(path: Path) -> Cloud:
     rows = read_xyz(path, columns=5, delimiter=",")
     points = np.column_stack([rows[:, 1], -rows[:, 0], rows[:, 2]]) + np.array(RADAR_T_LIDAR_M)
     if not ((rows[:, 3] >= 0) & (rows[:, 3] <= 255)).all():
-        found = f"{rows[:, 3].min():g} to {rows[:, 3].max():g}"
-        raise FileFormatError(path, where="column 4, intensity", expected="values from 0 to 255", found=found)
+        actual = f"{rows[:, 3].min():g} to {rows[:, 3].max():g}"
+        raise FileFormatError(path, where="column 4, intensity", expected="values from 0 to 255", found=actual)
     intensity = (rows[:, 3] / 255).astype(np.float32)
     return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)})
 

@@ -46,14 +46,18 @@ def result_format(out: Path | None, format: str | None = None) -> str:
         if format not in (None, "boxes-csv"):
             raise ConfigError(f"--format {format} needs --out: {_WANTED[str(format)]}")
         return "boxes-csv"
-    said = _SUFFIX.get(out.suffix)
-    if format is None and said is None:
+    suffix_format = _SUFFIX.get(out.suffix)
+    if format is None and suffix_format is None:
         raise ConfigError(
             f"--out {out}: expected a name ending in .csv (boxes as CSV) or .json (nuScenes' results), or a folder "
             "with --format kitti (KITTI's results)"
         )
-    chosen = format or str(said)
-    fits = said is None and not out.is_file() if chosen == "kitti" else said == chosen and not out.is_dir()
+    chosen = format or str(suffix_format)
+    fits = (
+        suffix_format is None and not out.is_file()
+        if chosen == "kitti"
+        else suffix_format == chosen and not out.is_dir()
+    )
     if not fits:
         what = "a folder" if out.is_dir() else "that name"
         raise ConfigError(f"--out {out}: expected {_WANTED[chosen]} for the format {chosen}, got {what}")
@@ -78,26 +82,26 @@ class ResultWriter:
     kind: str = "lidar"
     notes: list[str] = field(default_factory=list)
 
-    def write(self, out: Path, found: Found) -> None:
+    def write(self, out: Path, frame_boxes: Found) -> None:
         """Write all boxes; a file appears whole or not at all.
 
         Args:
             out: A file, or KITTI's folder.
-            found: The boxes of each frame.
+            frame_boxes: The boxes of each frame.
         """
         out.parent.mkdir(parents=True, exist_ok=True)
         if self.format == "kitti":
-            self._kitti(out, found)
+            self._kitti(out, frame_boxes)
         elif self.format == "nuscenes":
-            self._nuscenes(out, found)
+            self._nuscenes(out, frame_boxes)
         else:
-            write_boxes_csv_parts(out, rows_of(found, self.frames[0].reference))
+            write_boxes_csv_parts(out, rows_of(frame_boxes, self.frames[0].reference))
 
-    def _kitti(self, out: Path, found: Found) -> None:
+    def _kitti(self, out: Path, frame_boxes: Found) -> None:
         """``FRAME.txt`` for each frame, the empty ones too, below a folder for each of several sequences."""
         several = len({sequence for sequence, _ in self.keys}) > 1
         virtual, named = 0, set[Path]()
-        for number, ((sequence, frame_id), boxes) in enumerate(found):
+        for number, ((sequence, frame_id), boxes) in enumerate(frame_boxes):
             frame = self.frames[number]
             called, camera = next(iter(frame.cameras.items()), ("", None))
             virtual += camera is None
@@ -114,7 +118,7 @@ class ResultWriter:
                 "those of a virtual camera there"
             )
 
-    def _nuscenes(self, out: Path, found: Found) -> None:
+    def _nuscenes(self, out: Path, frame_boxes: Found) -> None:
         """One list of boxes a sample, in the world where every frame's pose is known."""
         posed = all(self.frames[number].world_T_frame is not None for number in range(len(self.keys)))
         plain = len({frame for _, frame in self.keys}) == len(self.keys)
@@ -124,7 +128,7 @@ class ResultWriter:
         still = False
         with open_atomic(out) as handle:
             handle.write(f'{{"meta": {meta_text}, "results": {{'.encode())
-            for number, ((sequence, frame_id), boxes) in enumerate(found):
+            for number, ((sequence, frame_id), boxes) in enumerate(frame_boxes):
                 pose = self.frames[number].world_T_frame if posed else None
                 token = frame_id if plain else f"{sequence}/{frame_id}"
                 still = still or (len(boxes) > 0 and boxes.velocity_m_s is None)
@@ -137,9 +141,9 @@ class ResultWriter:
             self.notes.append("velocities are not known and stand as 0: nuScenes' results must have numbers there")
 
 
-def rows_of(found: Found, reference: str = "") -> Iterator[BoxRows]:
+def rows_of(frame_boxes: Found, reference: str = "") -> Iterator[BoxRows]:
     """Rows of a CSV file, one frame at a time; ``reference`` names the coordinates of the boxes."""
-    for key, boxes in found:
+    for key, boxes in frame_boxes:
         yield box_rows([(key, boxes)], reference=reference)
 
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Int
@@ -16,6 +16,7 @@ SPLIT_SHARES = {"train": 0.70, "val": 0.15, "test": 0.15}
 SPLIT_FILE = Path("splits") / "cirrus_v1.json"
 
 
+@runtime_checkable
 class Splittable(Protocol):
     """What a split needs to know of a data set."""
 

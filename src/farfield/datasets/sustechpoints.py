@@ -122,8 +122,8 @@ def label_format(data: SustechPoints) -> SustechLabels:
 
 
 def _read_annotation(path: Path) -> Annotation:
-    found = [placed.cuboid for placed in parse_sustechpoints(read_bytes(path, max_bytes=MAX_BYTES), path)]
-    return annotation_of(found)
+    cuboids = [placed.cuboid for placed in parse_sustechpoints(read_bytes(path, max_bytes=MAX_BYTES), path)]
+    return annotation_of(cuboids)
 
 
 def _camera(path: Path, image: Path | None) -> Camera:

@@ -65,9 +65,9 @@ class Footprints:
 
     def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Footprints":
         """Move them rigidly into other coordinates, seen from above: their height is taken as 0."""
-        flat = np.column_stack([self.centre_m, np.zeros((len(self), 1))])
+        centres = np.column_stack([self.centre_m, np.zeros((len(self), 1))])
         heading = np.column_stack([np.cos(self.yaw_rad), np.sin(self.yaw_rad)]) @ target_T_source[:2, :2].T
-        centre_m = transform_points(target_T_source, flat)[:, :2]
+        centre_m = transform_points(target_T_source, centres)[:, :2]
         return replace(self, centre_m=centre_m, yaw_rad=np.arctan2(heading[:, 1], heading[:, 0]))
 
 

@@ -107,9 +107,9 @@ class Cloud:
         return len(self.points_m)
 
     def __repr__(self) -> str:
-        reach_m = np.hypot(self.points_m[:, 0], self.points_m[:, 1])
-        reach = f" to {reach_m[np.isfinite(reach_m)].max(initial=0.0):.0f} m" if len(self) else ""
-        return f"Cloud({len(self):,} points{reach}; {', '.join(self.columns)})"
+        range_m = np.hypot(self.points_m[:, 0], self.points_m[:, 1])
+        extent = f" to {range_m[np.isfinite(range_m)].max(initial=0.0):.0f} m" if len(self) else ""
+        return f"Cloud({len(self):,} points{extent}; {', '.join(self.columns)})"
 
     def _repr_html_(self) -> str | None:
         """What a notebook shows: the cloud from above."""
@@ -215,9 +215,9 @@ def read_rows(
         columns_read = [stored[name] for number in range(len(stored)) if (name := f"c{number}") in stored]
         good = [column for column in columns_read if column.ndim == 1]
         if len(good) < 4 or len({len(column) for column in good}) != 1 or len(good) != len(stored):
-            found = f"{', '.join(stored)[:80]}"
+            actual = f"{', '.join(stored)[:80]}"
             mend = "Delete the cache file, or write it anew: farfield convert DATA --to cache --overwrite."
-            raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", found=found, mend=mend)
+            raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", found=actual, mend=mend)
         return good
     return list(read_xyz(source, columns=columns, delimiter=delimiter).T)
 

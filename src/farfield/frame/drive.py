@@ -45,9 +45,9 @@ class Drive:
         twice, backwards = int((steps == 0).sum()), int((steps < 0).sum())
         rising = steps[steps > 0]
         limit = BREAK_PERIODS * float(np.median(rising)) if len(rising) else np.inf
-        words = [
+        issues = [
             f"{twice} {'times stand' if twice > 1 else 'time stands'} there twice" if twice else "",
             f"{backwards} {'times run' if backwards > 1 else 'time runs'} backwards" if backwards else "",
             *(f"a break of {steps[row] / 1e9:.1f} s after frame {row}" for row in np.flatnonzero(steps > limit)),
         ]
-        return tuple(word for word in words if word)
+        return tuple(issue for issue in issues if issue)

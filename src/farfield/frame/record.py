@@ -105,10 +105,10 @@ class Sensor:
     shots: int | None = None
 
     def __repr__(self) -> str:
-        place = "at an unknown place"
+        position = "at an unknown place"
         if self.frame_T_sensor is not None:
-            place = f"at {', '.join(f'{metres:.2f}' for metres in self.frame_T_sensor[:3, 3])} m"
-        return f"Sensor({self.kind}, {place}{'' if self.in_frame else ', in its own axes'})"
+            position = f"at {', '.join(f'{metres:.2f}' for metres in self.frame_T_sensor[:3, 3])} m"
+        return f"Sensor({self.kind}, {position}{'' if self.in_frame else ', in its own axes'})"
 
     def moved(self, target_T_frame: Pose) -> "Sensor":
         """The sensor as seen from other coordinates; one that then stands at their origin stands there exactly."""
@@ -196,20 +196,23 @@ class Frame:
             ConfigError: If there is no cloud, or one and several are given.
         """
         cloud = cloud if cloud is None or isinstance(cloud, Cloud) else Cloud.of(np.asarray(cloud))
-        given = dict(clouds or {}) if cloud is None else {name: cloud}
-        if not given or (cloud is not None and clouds):
+        named_clouds = dict(clouds or {}) if cloud is None else {name: cloud}
+        if not named_clouds or (cloud is not None and clouds):
             raise ConfigError("Frame.of: expected one cloud, or clouds= with one or more by name; got none or both.")
         annotation = Annotation(boxes=boxes) if isinstance(boxes, Boxes) else boxes
-        sensors = {key: Sensor(kind=_kind_of(key, each)) for key, each in given.items()}
+        sensors = {key: Sensor(kind=_kind_of(key, entry)) for key, entry in named_clouds.items()}
         usual = {"sequence": "memory", "frame_id": "0", "reference": next(iter(sensors.values())).kind}
         load = None if annotation is None else Constant(annotation)
-        return cls(clouds=given, load_annotation=load, **{**usual, "sensors": sensors, **rest})
+        return cls(clouds=named_clouds, load_annotation=load, **{**usual, "sensors": sensors, **rest})
 
     def __repr__(self) -> str:
         """Its name and what it holds, in one line; nothing is loaded for it."""
         held = {"cloud": self.clouds, "image": self.images, "radar": self.radar}
-        parts = [f"{word}{'s' if len(of) > 1 and word != 'radar' else ''} {', '.join(of)}" for word, of in held.items()]
-        parts = [part for part, of in zip(parts, held.values(), strict=True) if of]
+        parts = [
+            f"{kind}{'s' if len(names) > 1 and kind != 'radar' else ''} {', '.join(names)}"
+            for kind, names in held.items()
+        ]
+        parts = [part for part, names in zip(parts, held.values(), strict=True) if names]
         parts += ["annotated" if self.has_annotation else "not annotated"]
         parts += [f"{name} {value}" for name, value in self.conditions.items()]
         return f"Frame({self.sequence}/{self.frame_id}: {'; '.join(parts)})"
@@ -263,8 +266,8 @@ class Frame:
         named = self.sensors.get(self.reference.removesuffix("'"))
         if named is not None:
             return named.kind
-        known = [self.sensors[name] for name in self.clouds if name in self.sensors]
-        kinds = {sensor.kind for sensor in known if sensor.in_frame}
+        in_clouds = [self.sensors[name] for name in self.clouds if name in self.sensors]
+        kinds = {sensor.kind for sensor in in_clouds if sensor.in_frame}
         return kinds.pop() if len(kinds) == 1 else None
 
     def time_ns_of(self, name: str) -> int | None:

@@ -73,9 +73,9 @@ class IndexedBag:
     @cached_property
     def topics(self) -> dict[str, Messages]:
         """Clouds and images by our names, which are the topics' with ``_`` for ``/``."""
-        kept = [topic for topic in self.bag.topics if topic.kind in _KINDS and topic.size]
-        stamps = self.bag.stamps([topic.name for topic in kept]) if kept else {}
-        return {our_name(topic.name): self._indexed(topic, stamps[topic.name]) for topic in kept}
+        topics = [topic for topic in self.bag.topics if topic.kind in _KINDS and topic.size]
+        stamps = self.bag.stamps([topic.name for topic in topics]) if topics else {}
+        return {our_name(topic.name): self._indexed(topic, stamps[topic.name]) for topic in topics}
 
     def _indexed(self, topic: Topic, stamps: Any) -> Messages:
         log = stamps.log_ns
@@ -196,8 +196,8 @@ class Bags(Dataset):
                 move = None if name == reference else ours
                 clouds[name] = partial(load_cloud, *where, limit=messages.limit, target_T_sensor=move)
                 kind: Literal["radar", "lidar"] = "radar" if messages.radar else "lidar"
-                known = ours is not None
-                sensors[name] = Sensor(kind=kind, frame_T_sensor=ours, in_frame=known, time_ns=taken_ns)
+                has_pose = ours is not None
+                sensors[name] = Sensor(kind=kind, frame_T_sensor=ours, in_frame=has_pose, time_ns=taken_ns)
             else:
                 images[name] = partial(load_image, *where)
                 sensors[name] = camera_sensor(None, taken_ns)
@@ -223,11 +223,11 @@ class Bags(Dataset):
             ConfigError: If the bag has no such topic.
         """
         bag = self._recorded[sequence].bag
-        found = next((t for t in bag.topics if t.kind == IMU and topic in (None, t.name)), None)
-        if found is None:
+        imu_topic = next((t for t in bag.topics if t.kind == IMU and topic in (None, t.name)), None)
+        if imu_topic is None:
             raise ConfigError(f"{sequence}: expected an IMU, got {[t.name for t in bag.topics if t.kind == IMU]}")
-        messages = [bag.decode(found, raw) for _, _, raw in bag.messages([found.name])]
-        with guarded(bag.path, f"messages of {found.name}"):
+        messages = [bag.decode(imu_topic, raw) for _, _, raw in bag.messages([imu_topic.name])]
+        with guarded(bag.path, f"messages of {imu_topic.name}"):
             return _imu_table(messages)
 
 
@@ -251,9 +251,9 @@ def find_bags(root: Path) -> list[Path]:
     return sorted([*lone, *(path for path in root.iterdir() if path.is_dir() and is_bag(path))])
 
 
-def load_image(bag: Bag, topic: str, log_ns: int, place: int) -> UInt8[np.ndarray, "height width 3"]:
+def load_image(bag: Bag, topic: str, log_ns: int, index: int) -> UInt8[np.ndarray, "height width 3"]:
     """Read one image of a bag as RGB."""
-    message = bag.at(topic, log_ns, place)
+    message = bag.at(topic, log_ns, index)
     compressed = hasattr(message, "format")
     return read_ros_compressed(message, bag.path) if compressed else read_ros_image(message, bag.path)
 
@@ -270,7 +270,7 @@ Columns = dict[str, Shaped[np.ndarray, " n"]]
 
 def is_radar(names: Any) -> bool:
     """Whether a cloud's columns are a radar's: a speed or a cross-section."""
-    return any(word in str(name).lower() for name in names for word in RADAR)
+    return any(term in str(name).lower() for name in names for term in RADAR)
 
 
 def intensity_limit(columns: Columns) -> float | None:
@@ -279,15 +279,15 @@ def intensity_limit(columns: Columns) -> float | None:
     if name is None:
         return None
     kind = columns[name].dtype.str[1:]
-    seen = float(np.nanmax(columns[name], initial=0))
-    return _FULL.get(kind) or next((limit for limit in (1.0, 255.0, 65535.0) if seen <= limit), None)
+    largest = float(np.nanmax(columns[name], initial=0))
+    return _FULL.get(kind) or next((limit for limit in (1.0, 255.0, 65535.0) if largest <= limit), None)
 
 
 def load_cloud(
     bag: Bag,
     topic: str,
     log_ns: int,
-    place: int,
+    index: int,
     *,
     limit: float | None,
     target_T_sensor: np.ndarray | None = None,
@@ -298,11 +298,11 @@ def load_cloud(
         bag: The bag.
         topic: The cloud's topic.
         log_ns: When it was recorded.
-        place: Which of those recorded then.
+        index: Which of those recorded then.
         limit: Intensity that is taken as 1; None leaves the column as it is among the others.
         target_T_sensor: Moves the points into other coordinates.
     """
-    message = bag.at(topic, log_ns, place)
+    message = bag.at(topic, log_ns, index)
     columns = read_points(message, bag.path)
     cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=_stamp(message, bag.path))
     return cloud if target_T_sensor is None else cloud.transform(target_T_sensor)
@@ -353,8 +353,8 @@ def offsets_ns(values: Shaped[np.ndarray, " n"], stamp_ns: int) -> Int64[np.ndar
     nanoseconds since 1970 (Ouster, Velodyne, Hesai and Livox drivers).
     """
     if values.dtype.kind in "iu":
-        whole = values.astype(np.int64)
-        return np.asarray(whole - stamp_ns if len(whole) and whole.max() > 10**17 else whole)
+        times_ns = values.astype(np.int64)
+        return np.asarray(times_ns - stamp_ns if len(times_ns) and times_ns.max() > 10**17 else times_ns)
     size = float(np.abs(values).max(initial=0))
     if size >= 1e17:
         return np.rint(values - float(stamp_ns)).astype(np.int64)

@@ -50,8 +50,8 @@ def _between(first: Pose, second: Pose, share: float) -> Pose:
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).as_rotvec()
-    place = (1 - share) * first[:3, 3] + share * second[:3, 3]
-    return pose(first[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix(), place)
+    translation = (1 - share) * first[:3, 3] + share * second[:3, 3]
+    return pose(first[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix(), translation)
 
 
 @dataclass(eq=False)
@@ -85,8 +85,10 @@ class Transforms:
         for child, stamped in moving.items():
             times = sorted(stamped)
             parent = stamped[times[-1]][0]
-            kept = [time for time in times if stamped[time][0] == parent]
-            edges[child] = Edge(parent, np.array(kept, dtype=np.int64), np.array([stamped[t][1] for t in kept]))
+            edge_times = [time for time in times if stamped[time][0] == parent]
+            edges[child] = Edge(
+                parent, np.array(edge_times, dtype=np.int64), np.array([stamped[t][1] for t in edge_times])
+            )
         return edges
 
     def _listed(self, message: Any) -> list[tuple[str, str, int, Pose]]:
@@ -94,15 +96,15 @@ class Transforms:
             return [self._read(transform) for transform in message.transforms]
 
     def _read(self, transform: Any) -> tuple[str, str, int, Pose]:
-        stamp, turn, place = transform.header.stamp, transform.transform.rotation, transform.transform.translation
+        stamp, turn, translation = transform.header.stamp, transform.transform.rotation, transform.transform.translation
         quaternion = np.array([turn.x, turn.y, turn.z, turn.w], dtype=np.float64)
-        centre = np.array([place.x, place.y, place.z], dtype=np.float64)
+        centre = np.array([translation.x, translation.y, translation.z], dtype=np.float64)
         child, parent = str(transform.child_frame_id).strip("/"), str(transform.header.frame_id).strip("/")
         norm = float(np.linalg.norm(quaternion))
         if not (np.isfinite(centre).all() and abs(norm - 1) < 1e-2):
-            found = f"rotation of length {norm:g}, translation {centre.tolist()}"
+            actual = f"rotation of length {norm:g}, translation {centre.tolist()}"
             where = f"transform of {child} in {parent}"
-            raise FileFormatError(self.bag.path, where=where, expected="a unit quaternion, a place", found=found)
+            raise FileFormatError(self.bag.path, where=where, expected="a unit quaternion, a place", found=actual)
         time_ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
         return child, parent, time_ns, pose(rotation_from_quaternion(quaternion), centre)
 

@@ -60,25 +60,25 @@ class CirrusLabelFormat(JsonLabels):
         boxes = boxes_from_labels(raw, self.settings)
         rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
         return [
-            CuboidEntry((self.settings.root, place), Cuboid(label=name, box=tuple(row), track=_track(raw.extra[place])))
-            for place, (name, row) in enumerate(zip(raw.classes, rows, strict=True))
+            CuboidEntry((self.settings.root, index), Cuboid(label=name, box=tuple(row), track=_track(raw.extra[index])))
+            for index, (name, row) in enumerate(zip(raw.classes, rows, strict=True))
         ]
 
     def empty(self) -> str:
         """A file without labels."""
         return json.dumps({"label_type": "cuboid", self.settings.root: []}, indent=1) + "\n"
 
-    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, existing: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size, quaternion, class and track as the mapping orders them."""
-        del text, place
+        del text, existing
         entry = self._entry(cuboid)
-        known: dict[tuple[str | int, ...], Any] = {
+        values: dict[tuple[str | int, ...], Any] = {
             (name, axis): number
             for name, value in entry.items()
             if isinstance(value, list)
             for axis, number in enumerate(value)
         }
-        return known | {(name,): value for name, value in entry.items() if not isinstance(value, list)}
+        return values | {(name,): value for name, value in entry.items() if not isinstance(value, list)}
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
         """The file with other labels in some frames."""
@@ -95,16 +95,16 @@ class CirrusLabelFormat(JsonLabels):
         return [(name,) for name in _COUNTS]
 
     def _entry(self, cuboid: Cuboid) -> dict[str, Any]:
-        known = self.settings
+        settings = self.settings
         x, y, z, length, width, height, yaw = cuboid.box
         size = {"l": length, "w": width, "h": height}
-        angle = (yaw - np.deg2rad(known.yaw_offset_deg)) / known.yaw_scale
+        angle = (yaw - np.deg2rad(settings.yaw_offset_deg)) / settings.yaw_scale
         quaternion = quaternion_from_yaw(np.array(angle)).tolist()
         entry: dict[str, Any] = {
-            known.class_: cuboid.label,
-            known.position: [x, y, z if known.position_is == "center" else z - height / 2],
-            known.size: [size[letter] for letter in known.size_order],
-            known.quaternion: quaternion if known.quat_order == "xyzw" else [quaternion[3], *quaternion[:3]],
+            settings.class_: cuboid.label,
+            settings.position: [x, y, z if settings.position_is == "center" else z - height / 2],
+            settings.size: [size[letter] for letter in settings.size_order],
+            settings.quaternion: quaternion if settings.quat_order == "xyzw" else [quaternion[3], *quaternion[:3]],
         }
         return entry | ({"track_id": int(cuboid.track)} if cuboid.track.isdecimal() else {})
 
@@ -148,17 +148,17 @@ def _parts(data: bytes, path: Path, key: Key, settings: Labels) -> list[FileSpan
     rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
     lines = physical_lines(data)
     if sum(bool(line.split()) for line in lines) != len(rows):
-        found = "line ends of another kind"
-        raise FileFormatError(path, where="the file", expected=r"lines that end in \n or \r\n", found=found)
-    parts, place = [], 0
+        actual = "line ends of another kind"
+        raise FileFormatError(path, where="the file", expected=r"lines that end in \n or \r\n", found=actual)
+    parts, index = [], 0
     for line in lines:
         if not line.split():
             parts.append(FileSpan(line))
             continue
-        x, y, z, length, width, height, yaw = rows[place]
+        x, y, z, length, width, height, yaw = rows[index]
         box: Numbers = (x, y, z, length, width, height, yaw)
-        parts.append(FileSpan(line, key, BoxLabel(id=str(place), label=raw.classes[place], box=box)))
-        place += 1
+        parts.append(FileSpan(line, key, BoxLabel(id=str(index), label=raw.classes[index], box=box)))
+        index += 1
     return parts
 
 
@@ -172,21 +172,21 @@ def _written(key: Key, new: BoxLabel, old: FileSpan | None, *, path: Path, setti
     if len(new.label.split()) != 1:
         raise ConfigError(f"{path}: expected a class without blanks, which part the columns; got {new.label!r}")
     if old is None or old.label is None:
-        words = [new.label, *["0.0"] * (_BOX - 1), *map(repr, _columns(new.box, settings))]
-        return " ".join(words).encode() + end
+        cells = [new.label, *["0.0"] * (_BOX - 1), *map(repr, _columns(new.box, settings))]
+        return " ".join(cells).encode() + end
     pieces = re.split(rb"(\s+)", old.raw)
     first = 2 if not pieces[0] else 0  # blanks before the class
-    columns = [first + 2 * place for place in range(_COLUMNS)]
+    columns = [first + 2 * column for column in range(_COLUMNS)]
     if new.label != old.label.label:
         pieces[columns[0]] = new.label.encode()
-    kept = kept_numbers(old.label.box, new.box)
-    before, after = (_columns(box, settings) for box in (old.label.box, kept))
-    for place, one, other in zip(columns[_BOX:], before, after, strict=True):
-        if one != other:
-            pieces[place] = repr(other).encode()
+    box = kept_numbers(old.label.box, new.box)
+    before, after = (_columns(box, settings) for box in (old.label.box, box))
+    for column, was, now in zip(columns[_BOX:], before, after, strict=True):
+        if was != now:
+            pieces[column] = repr(now).encode()
     if before != after:
-        for place in columns[_IMAGE]:
-            pieces[place] = pieces[place] if float(pieces[place]) == 0 else b"0"
+        for column in columns[_IMAGE]:
+            pieces[column] = pieces[column] if float(pieces[column]) == 0 else b"0"
     return b"".join(pieces)
 
 

@@ -95,9 +95,9 @@ def _parse_json(path: Path, text: str, settings: Labels) -> RawLabels:
     labels = content.pop(settings.root)
     for number, label in enumerate(labels):
         if not isinstance(label, dict) or not isinstance(label.get(settings.class_), str):
-            found = f"keys {sorted(label)[:12]}" if isinstance(label, dict) else type(label).__name__
+            actual = f"keys {sorted(label)[:12]}" if isinstance(label, dict) else type(label).__name__
             raise FileFormatError(
-                path, where=f"label {number}", expected=f"an object with text {settings.class_!r}", found=found
+                path, where=f"label {number}", expected=f"an object with text {settings.class_!r}", found=actual
             )
     return RawLabels(
         path=path,
@@ -213,22 +213,22 @@ def annotation_from_labels(raw: RawLabels, settings: Labels) -> Annotation:
     Raises:
         FileFormatError: As :func:`boxes_from_labels`.
     """
-    whole = len(raw) > 0 and all("full_position" in label and "full_size" in label for label in raw.extra)
+    has_full = len(raw) > 0 and all("full_position" in label and "full_size" in label for label in raw.extra)
     counts = [label.get("point_count_uniform") for label in raw.extra]
     counted = bool(counts) and all(isinstance(count, int) for count in counts)
     return Annotation(
         boxes=boxes_from_labels(raw, settings),
         original_label=raw.classes,
         extent="visible",
-        full_boxes=boxes_from_labels(raw, settings, full=True) if whole else None,
+        full_boxes=boxes_from_labels(raw, settings, full=True) if has_full else None,
         details={"point_count_uniform": np.array(counts, dtype=np.int64)} if counted else {},
     )
 
 
-def _require(path: Path, good: Any, expected: str, found: Any) -> None:
+def _require(path: Path, good: Any, expected: str, values: Any) -> None:
     if not good.all():
         number = int(np.argmin(good))
-        raise FileFormatError(path, where=f"label {number}", expected=expected, found=str(found[number].tolist()))
+        raise FileFormatError(path, where=f"label {number}", expected=expected, found=str(values[number].tolist()))
 
 
 def _integers(raw: RawLabels, key: str) -> Any:

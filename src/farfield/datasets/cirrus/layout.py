@@ -216,47 +216,47 @@ def find_parts(root: Path, mapping: Mapping) -> list[CirrusPart]:
     Returns:
         Parts by number; empty if there is nothing in this layout.
     """
-    places = [root, root / "dataset"]
+    folders = [root, root / "dataset"]
     if root.is_dir():
         children = sorted((path for path in root.iterdir() if path.is_dir()), key=_natural)
-        places += [place for child in children for place in (child, child / "dataset")]
+        folders += [folder for child in children for folder in (child, child / "dataset")]
     parts: list[CirrusPart] = []
-    for place in places:
+    for folder in folders:
         layouts = [mapping.layout] if mapping.layout else [FolderLayout(), AUTHORS_LAYOUT]
-        found = [part for layout in layouts for part in _parts_at(place, layout)]
-        if place in (root, root / "dataset") and found:
-            return found
-        parts += found
+        matching = [part for layout in layouts for part in _parts_at(folder, layout)]
+        if folder in (root, root / "dataset") and matching:
+            return matching
+        parts += matching
     return parts
 
 
-def _parts_at(place: Path, layout: FolderLayout) -> list[CirrusPart]:
-    if not place.is_dir():
+def _parts_at(folder: Path, layout: FolderLayout) -> list[CirrusPart]:
+    if not folder.is_dir():
         return []
     parts = []
-    for number in _numbers(place, layout):
-        files = {kind: _files(place, getattr(layout, kind), number) for kind in KINDS}
+    for number in _numbers(folder, layout):
+        files = {kind: _files(folder, getattr(layout, kind), number) for kind in KINDS}
         if files["gaussian"] or files["uniform"]:
-            parts.append(CirrusPart(root=place, number=number, layout=layout, files=files))
+            parts.append(CirrusPart(root=folder, number=number, layout=layout, files=files))
     return parts
 
 
-def _numbers(place: Path, layout: FolderLayout) -> list[int]:
+def _numbers(folder: Path, layout: FolderLayout) -> list[int]:
     folders = [Path(getattr(layout, kind)).parts[0] for kind in KINDS[:2]]
     if not any("{n}" in folder for folder in folders):
         return [1]
-    names = [path.name for path in place.iterdir() if path.is_dir()]
+    names = [path.name for path in folder.iterdir() if path.is_dir()]
     patterns = [re.compile(re.escape(folder).replace(r"\{n\}", r"(\d{1,6})")) for folder in folders if "{n}" in folder]
     return sorted({int(match[1]) for name in names for pattern in patterns if (match := pattern.fullmatch(name))})
 
 
-def _files(place: Path, pattern: str, number: int) -> tuple[Path, ...]:
-    found = [path for path in place.glob(pattern.replace("{n}", str(number))) if not path.name.startswith(".")]
-    if not found and pattern.endswith(".json"):  # the authors' text labels stand in for missing JSON
+def _files(folder: Path, pattern: str, number: int) -> tuple[Path, ...]:
+    paths = [path for path in folder.glob(pattern.replace("{n}", str(number))) if not path.name.startswith(".")]
+    if not paths and pattern.endswith(".json"):  # the authors' text labels stand in for missing JSON
         texts = pattern.replace("json_files", "txt_files").removesuffix(".json") + ".txt"
-        found = list(place.glob(texts.replace("{n}", str(number))))
-    timed = all(time_of(path) is not None for path in found)
-    return tuple(sorted(found, key=lambda path: (time_of(path) or 0) if timed else _natural(path)))
+        paths = list(folder.glob(texts.replace("{n}", str(number))))
+    timed = all(time_of(path) is not None for path in paths)
+    return tuple(sorted(paths, key=lambda path: (time_of(path) or 0) if timed else _natural(path)))
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -282,15 +282,17 @@ def pair(
     count = min(len(keys), len(others))
     if not timed or not others:
         return [*others[:count], *[None] * (len(keys) - count)], [None] * len(keys)
-    wanted, have = np.array(key_ns, dtype=np.int64), np.array(other_ns, dtype=np.int64)
+    key_times, other_times = np.array(key_ns, dtype=np.int64), np.array(other_ns, dtype=np.int64)
     if pairing.mode == "order":
         choice = np.minimum(np.arange(len(keys)), len(others) - 1)
     else:
-        after = np.clip(np.searchsorted(have, wanted), 1, max(len(have) - 1, 1))
+        after = np.clip(np.searchsorted(other_times, key_times), 1, max(len(other_times) - 1, 1))
         before = after - 1
-        after = np.minimum(after, len(have) - 1)
-        choice = np.where(np.abs(have[before] - wanted) <= np.abs(have[after] - wanted), before, after)
-    dt_ms = (have[choice] - wanted) / 1e6
+        after = np.minimum(after, len(other_times) - 1)
+        choice = np.where(
+            np.abs(other_times[before] - key_times) <= np.abs(other_times[after] - key_times), before, after
+        )
+    dt_ms = (other_times[choice] - key_times) / 1e6
     good = np.abs(dt_ms) <= pairing.max_dt_ms
     good &= (np.arange(len(keys)) < len(others)) | (pairing.mode == "nearest")
     partners = [others[index] if ok else None for index, ok in zip(choice, good, strict=True)]

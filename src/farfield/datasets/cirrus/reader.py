@@ -210,11 +210,11 @@ class Cirrus(Dataset):
         return None if path is None else read_labels(path, self.mapping.labels)
 
     def _sensors(self, times: dict[str, int | None]) -> dict[str, Sensor]:
-        known = {name: Sensor(kind="lidar", time_ns=times[name]) for name in PATTERNS if name in times}
+        lidars = {name: Sensor(kind="lidar", time_ns=times[name]) for name in PATTERNS if name in times}
         cameras = {name: camera_sensor(self.cameras.get(name)) for name in self.cameras}
         if "camera" in times:
             cameras["camera"] = camera_sensor(self.cameras.get("camera"), times["camera"])
-        return known | cameras
+        return lidars | cameras
 
     def _metadata(self, index: int, entry: CirrusFiles) -> dict[str, Callable[[], Any]]:
         return {
@@ -261,8 +261,8 @@ class Cirrus(Dataset):
             if not path.is_file():
                 raise DatasetError(f"{path}: expected the calibration file that the mapping names, found none")
             return path
-        places = [folder / name for folder in (self.root, self.parts[0].root) for name in CALIBRATION_NAMES]
-        return next((path for path in places if path.is_file()), None)
+        candidates = [folder / name for folder in (self.root, self.parts[0].root) for name in CALIBRATION_NAMES]
+        return next((path for path in candidates if path.is_file()), None)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:

@@ -45,12 +45,12 @@ class CirrusWriter:
             DatasetError: If the frame has no time.
         """
         times = {name: self._time_ns(frame, name) for name in ("gaussian", "uniform", "camera")}
-        found = {name: self._folder(name) / f"{times[name]}.xyz" for name in _EXTRA_COLUMNS if name in frame.clouds}
+        paths = {name: self._folder(name) / f"{times[name]}.xyz" for name in _EXTRA_COLUMNS if name in frame.clouds}
         if frame.has_annotation:
-            found["annotation"] = self._folder("annotation") / f"{times['gaussian']}.json"
+            paths["annotation"] = self._folder("annotation") / f"{times['gaussian']}.json"
         if "camera" in frame.images:
-            found["camera"] = self._folder("camera") / f"{times['camera']}.jpg"
-        return found
+            paths["camera"] = self._folder("camera") / f"{times['camera']}.jpg"
+        return paths
 
     def write(self, frame: Frame, *, box_label_source: Literal["boxes", "full_boxes"] = "boxes") -> dict[str, Path]:
         """Write one frame.
@@ -111,8 +111,8 @@ def cloud_rows(cloud: Cloud, extra_columns: int) -> Float[np.ndarray, "n c"]:
 
 def annotation(frame: Frame, source: str = "boxes") -> dict[str, Any]:
     """Build the annotation file's content for a frame; lengths to a micrometre."""
-    known = frame.annotation or Annotation(boxes=Boxes.empty())
-    boxes, full = known.boxes, known.full_boxes
+    recorded = frame.annotation or Annotation(boxes=Boxes.empty())
+    boxes, full = recorded.boxes, recorded.full_boxes
     if source == "full_boxes":
         if full is None:
             raise DatasetError(
@@ -129,7 +129,7 @@ def annotation(frame: Frame, source: str = "boxes") -> dict[str, Any]:
         columns |= {"full_position": _rounded(full.centre_m), "full_size": _rounded(np.maximum(full.size_m, 1e-6))}
     if boxes.track_id is not None:
         columns["track_id"] = boxes.track_id.tolist()
-    columns |= _point_counts(known, boxes)
+    columns |= _point_counts(recorded, boxes)
     content: dict[str, Any] = {"label_type": "cuboid"}
     if frame.world_T_frame is not None:
         content["world_T_lidar"] = np.round(frame.world_T_frame, 12).tolist()

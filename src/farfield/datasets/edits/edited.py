@@ -84,10 +84,10 @@ class Edited:
     def path(self) -> Path:
         """The journal's file."""
         candidates = (self.edits, self.edits / JOURNAL, self.edits / FOLDER / JOURNAL)
-        found = next((path for path in candidates if path.is_file()), None)
-        if found is None:
+        path = next((path for path in candidates if path.is_file()), None)
+        if path is None:
             raise ConfigError(f"{self.edits}: expected {JOURNAL}, which `farfield annotate` writes, or its folder")
-        return found
+        return path
 
     def settings(self) -> Mapping[str, Any]:
         """Where the journal stands, and the last edit that counts."""
@@ -113,14 +113,14 @@ class Edited:
             for name, history in edits.boxes.get(key, {}).items()
         }
         before = Annotation(boxes=Boxes.empty()) if annotation is None else annotation
-        found = merged(key, before, touched)
-        return found if annotation is not None or edits.extent is None else replace(found, extent=edits.extent)  # type: ignore[arg-type]
+        annotated = merged(key, before, touched)
+        return annotated if annotation is not None or edits.extent is None else replace(annotated, extent=edits.extent)  # type: ignore[arg-type]
 
     @cached_property
     def _edits(self) -> _Edits:
-        taken = _AppliedEdits(self.upto or 0)
-        read_journal(self.path, taken)
-        return _Edits(taken.boxes, tuple(reversed(taken.saves)), taken.extent)
+        applied = _AppliedEdits(self.upto or 0)
+        read_journal(self.path, applied)
+        return _Edits(applied.boxes, tuple(reversed(applied.saves)), applied.extent)
 
     def __getstate__(self) -> dict[str, Any]:
         return {"edits": self.edits, "upto": self.upto}
@@ -198,16 +198,16 @@ def merged(key: Key, annotation: Annotation, touched: Mapping[str, EditedObject]
         DatasetError: If a file does not hold an object that was edited, in any state that was ever written.
     """
     rows = _AnnotationRows(annotation.boxes)
-    place = {name: rows.take(key, each.written) for name, each in touched.items()}
-    gone = [row for row in place.values() if row is not None]
+    row_of = {name: rows.take(key, edited.written) for name, edited in touched.items()}
+    gone = [row for row in row_of.values() if row is not None]
     keep = [row for row in range(len(annotation)) if row not in gone]
     labels = {
-        name: label_of(name, each.value)
-        for name, each in touched.items()
-        if each.value is not None and each.value.get("state", "accepted") in _STANDING
+        name: label_of(name, edited.value)
+        for name, edited in touched.items()
+        if edited.value is not None and edited.value.get("state", "accepted") in _STANDING
     }
     source: list[_Source] = [(row, None) for row in keep]
-    source += [(place[name], label) for name, label in labels.items()]
+    source += [(row_of[name], label) for name, label in labels.items()]
     return _assembled(annotation, sorted(source, key=_rank))
 
 
@@ -222,10 +222,10 @@ class _AnnotationRows:
     def take(self, key: Key, written: Sequence[Mapping[str, Any] | None]) -> int | None:
         for value in written:
             if value is not None and value.get("state", "accepted") in _STANDING:
-                found = self._find(np.array(value["box"], dtype=np.float64), str(value.get("track", "")))
-                if found is not None:
-                    self._free[found] = False
-                    return found
+                row = self._find(np.array(value["box"], dtype=np.float64), str(value.get("track", "")))
+                if row is not None:
+                    self._free[row] = False
+                    return row
         if all(value is not None and value.get("state", "accepted") in _STANDING for value in written):
             box = ", ".join(f"{number:.2f}" for number in (written[0] or {})["box"][:3])
             raise DatasetError(
@@ -238,9 +238,9 @@ class _AnnotationRows:
         """The row of a box; of two alike that of its track."""
         off = self._table - box
         off[:, 6] = wrap_angle_rad(off[:, 6])
-        found = np.flatnonzero(self._free & (np.abs(off) < ALIKE).all(axis=1)).tolist()
-        named = [row for row in found if self._track is not None and str(self._track[row]) == track]
-        return next(iter([*named, *found]), None)
+        rows = np.flatnonzero(self._free & (np.abs(off) < ALIKE).all(axis=1)).tolist()
+        named = [row for row in rows if self._track is not None and str(self._track[row]) == track]
+        return next(iter([*named, *rows]), None)
 
 
 _Source = tuple[int | None, BoxLabel | None]
@@ -327,28 +327,28 @@ def _tracks(before: Int[np.ndarray, " n"] | None, labels: Sequence[BoxLabel | No
     """Identities; names of tracks that are no numbers identify nothing here."""
     if before is None and not any(label is not None and label.track for label in labels):
         return None
-    found = np.full(len(labels), -1, dtype=np.int64) if before is None else before.copy()
+    tracks = np.full(len(labels), -1, dtype=np.int64) if before is None else before.copy()
     for row, label in enumerate(labels):
         if label is not None:
             number = label.track if label.track.isascii() and label.track.isdigit() and len(label.track) < 18 else "-1"
-            found[row] = int(number)
-    return found
+            tracks[row] = int(number)
+    return tracks
 
 
 def _put(values: np.ndarray, rows: Sequence[int], value: int) -> np.ndarray:
-    found = values.copy()
-    found[list(rows)] = value
-    return found
+    changed = values.copy()
+    changed[list(rows)] = value
+    return changed
 
 
 def _visibility(old: str, label: BoxLabel | None, new: bool | np.bool_) -> str:
-    given = None if label is None else label.attributes.get(_SEEN)
-    return str(given) if given is not None else _DEFAULT_VISIBILITY if new else old
+    value = None if label is None else label.attributes.get(_SEEN)
+    return str(value) if value is not None else _DEFAULT_VISIBILITY if new else old
 
 
 def _moving(old: bool | np.bool_, label: BoxLabel | None, new: bool | np.bool_) -> bool:
-    given = None if label is None else label.attributes.get("moving")
-    return given if isinstance(given, bool) else bool(old) and not new
+    value = None if label is None else label.attributes.get("moving")
+    return value if isinstance(value, bool) else bool(old) and not new
 
 
 def _own(full: Boxes, boxes: Boxes, labels: Sequence[BoxLabel | None]) -> Boxes:
@@ -365,6 +365,6 @@ def _own(full: Boxes, boxes: Boxes, labels: Sequence[BoxLabel | None]) -> Boxes:
 
 def _unknown(values: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Rows of details, where those of added boxes are not known: NaN, -1, or nothing."""
-    found = values.copy()
-    found[new] = np.nan if values.dtype.kind == "f" else -1 if values.dtype.kind == "i" else values.dtype.type()
-    return found
+    rows = values.copy()
+    rows[new] = np.nan if values.dtype.kind == "f" else -1 if values.dtype.kind == "i" else values.dtype.type()
+    return rows

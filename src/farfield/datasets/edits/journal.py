@@ -135,10 +135,10 @@ def decode_all(lines: Sequence[bytes]) -> list[Record]:
         if line[-1:] != b"\n" or line[8:9] != b" " or line[:8] != b"%08x" % zlib.crc32(line[9:-1]):
             raise ValueError("a line that does not fit its checksum")
     try:
-        found = json.loads(b"[%s]" % b",".join(line[9:-1] for line in lines))
-        if len(found) != len(lines):
+        records = json.loads(b"[%s]" % b",".join(line[9:-1] for line in lines))
+        if len(records) != len(lines):
             raise ValueError("a line that is no edit")
-        return [_record(fields) for fields in found]
+        return [_record(fields) for fields in records]
     except (KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"a line that is no edit ({type(error).__name__})") from None
 
@@ -204,8 +204,8 @@ def label_of(name: str, value: Mapping[str, Any]) -> BoxLabel:
     Raises:
         ValueError: If the value is no box's.
     """
-    known = {"label", "box", "proposal", *(field for field, _ in _PLAIN)}
-    if not isinstance(value, Mapping) or not {"label", "box"} <= value.keys() <= known:
+    fields = {"label", "box", "proposal", *(field for field, _ in _PLAIN)}
+    if not isinstance(value, Mapping) or not {"label", "box"} <= value.keys() <= fields:
         raise ValueError(f"expected the value of a box, got {str(value)[:80]}")
     more = {field: value[field] for field, _ in _PLAIN if field in value}
     return BoxLabel(id=name, label=str(value["label"]), box=numbers(value["box"]), **more)
@@ -293,11 +293,11 @@ class _Reading:
         return b""
 
     def _one_by_one(self, lines: Sequence[bytes], *, last: bool) -> bytes:
-        for place, line in enumerate(lines, start=1):
+        for number, line in enumerate(lines, start=1):
             try:
                 record = decode(line)
             except ValueError as error:
-                if place < len(lines) or not last:
+                if number < len(lines) or not last:
                     expected = "an edit behind its checksum"
                     raise _broken(self.path, len(self.starts) + 1, expected, str(error)) from None
                 return line
@@ -316,12 +316,12 @@ class _Reading:
         self.end += len(line)
 
 
-def _broken(path: Path, line: int, expected: str, found: str) -> FileFormatError:
+def _broken(path: Path, line: int, expected: str, actual: str) -> FileFormatError:
     mend = (
         f"The edits of the {line - 1} lines before it are sound: to go on with those, keep a copy and cut the file "
         f"there (head -n {line - 1})."
     )
-    return FileFormatError(path, where=f"line {line}", expected=expected, found=found, mend=mend)
+    return FileFormatError(path, where=f"line {line}", expected=expected, found=actual, mend=mend)
 
 
 # Where a journal stands: beside the labels, or in the user's own folder where those cannot be written.

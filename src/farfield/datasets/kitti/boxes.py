@@ -115,12 +115,12 @@ def boxes_from_objects(
         camera_T_lidar: Lidar to rectified camera coordinates.
         classes: ``"cirrus"`` translates class names (unknown ones become ``unknown``), ``"kitti"`` keeps them.
     """
-    kept = objects[objects.has_box]
-    centre, size, yaw = lidar_from_camera(kept.bottom_m, kept.size_m, kept.rotation_y_rad, camera_T_lidar)
-    names = kept.type.tolist()
+    boxed = objects[objects.has_box]
+    centre, size, yaw = lidar_from_camera(boxed.bottom_m, boxed.size_m, boxed.rotation_y_rad, camera_T_lidar)
+    names = boxed.type.tolist()
     if classes == "cirrus":
         names = [normalised_class(name, CIRRUS_FROM_KITTI) for name in names]
-    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=names, score=kept.score)
+    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=names, score=boxed.score)
 
 
 def objects_from_boxes(boxes: Boxes, camera: Camera, *, classes: Mapping[str, str]) -> KittiObjects:
@@ -158,11 +158,11 @@ def annotation_of(objects: KittiObjects, boxes: Boxes, region: CameraField | Non
         boxes: Boxes of those that have one, in the same order.
         region: Where was annotated.
     """
-    kept = objects[objects.has_box]
-    details = {name: getattr(kept, name) for name in ("truncation", "occlusion", "box_px", "alpha_rad")}
+    boxed = objects[objects.has_box]
+    details = {name: getattr(boxed, name) for name in ("truncation", "occlusion", "box_px", "alpha_rad")}
     return Annotation(
         boxes=boxes,
-        original_label=tuple(kept.type.tolist()),
+        original_label=tuple(boxed.type.tolist()),
         details=details,
         unboxed={"dontcare_px": objects.box_px[objects.type == "DontCare"]},
         region=region,

@@ -83,23 +83,23 @@ def _parts(data: bytes, path: Path, key: Key, camera: Camera) -> list[FileSpan]:
     objects = parse_labels(data, path)
     boxes = boxes_from_objects(objects, _pose(camera), classes="kitti")
     rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
-    kept = objects[objects.has_box]
-    by_line = {int(line): place for place, line in enumerate(kept.line)}
+    boxed = objects[objects.has_box]
+    by_line = {int(line): index for index, line in enumerate(boxed.line)}
     parts = []
     for number, raw in enumerate(physical_lines(data), start=1):
-        place = by_line.get(number)
-        parts.append(FileSpan(raw) if place is None else FileSpan(raw, key, _label(kept, place, rows[place])))
+        index = by_line.get(number)
+        parts.append(FileSpan(raw) if index is None else FileSpan(raw, key, _label(boxed, index, rows[index])))
     return parts
 
 
-def _label(kept: KittiObjects, place: int, row: Sequence[float]) -> BoxLabel:
+def _label(boxed: KittiObjects, index: int, row: Sequence[float]) -> BoxLabel:
     x, y, z, length, width, height, yaw = row
     return BoxLabel(
-        id=str(place),
-        label=str(kept.type[place]),
+        id=str(index),
+        label=str(boxed.type[index]),
         box=(x, y, z, length, width, height, yaw),
-        attributes={"occlusion": float(kept.occlusion[place])},
-        score=None if kept.score is None else float(kept.score[place]),
+        attributes={"occlusion": float(boxed.occlusion[index])},
+        score=None if boxed.score is None else float(boxed.score[index]),
     )
 
 
@@ -121,24 +121,24 @@ def _written(key: Key, new: BoxLabel, old: FileSpan | None, *, camera: Camera, s
     del key
     before = None if old is None else old.label
     name, occlusion = _class(new.label), _occlusion(new, before)
-    known = name in CIRRUS_FROM_KITTI or name in KITTI_FROM_CIRRUS.values()
-    if not known and (before is None or name != before.label):
+    is_kitti = name in CIRRUS_FROM_KITTI or name in KITTI_FROM_CIRRUS.values()
+    if not is_kitti and (before is None or name != before.label):
         raise ConfigError(f"{path}: expected a class of KITTI ({', '.join(CIRRUS_FROM_KITTI)}), got {new.label!r}")
     if occlusion not in _OCCLUSION:
         raise ConfigError(f"{path}: expected occlusion 0, 1, 2, 3 or -1 of a {new.label}, got {occlusion!r}")
-    wanted = _columns(new.box, camera) if before is None else _columns(kept_numbers(before.box, new.box), camera)
-    words = [b""] * len(wanted) if old is None else old.raw.split()[1:]
-    standing = wanted if before is None else _columns(before.box, camera)
+    new_columns = _columns(new.box, camera) if before is None else _columns(kept_numbers(before.box, new.box), camera)
+    cells = [b""] * len(new_columns) if old is None else old.raw.split()[1:]
+    standing = new_columns if before is None else _columns(before.box, camera)
     columns = [
-        repr(number).encode() if before is None or number != standing[place] else words[place]
-        for place, number in enumerate(wanted)
+        repr(number).encode() if before is None or number != standing[column] else cells[column]
+        for column, number in enumerate(new_columns)
     ]
     if before is None or occlusion != before.attributes["occlusion"]:
         columns[1] = b"%d" % int(occlusion)
     elif old is not None:
-        columns[1] = words[1]
+        columns[1] = cells[1]
     first = name.encode() if before is None or name != _class(before.label) else before.label.encode()
-    score = words[len(wanted) :] or ([repr(float(new.score or 0.0)).encode()] if scored else [])
+    score = cells[len(new_columns) :] or ([repr(float(new.score or 0.0)).encode()] if scored else [])
     end = b"\n" if old is None or old.raw.endswith(b"\n") else b""
     end = b"\r\n" if old is not None and old.raw.endswith(b"\r\n") else end
     return b" ".join([first, *columns, *score]) + end
@@ -148,6 +148,13 @@ def _columns(box: Numbers, camera: Camera) -> list[float]:
     """Truncation, occlusion (not known), alpha, 2D box, h w l, x y z of the bottom, rotation_y."""
     row = np.array([box])
     boxes = Boxes(centre_m=row[:, :3], size_m=row[:, 3:6], yaw_rad=row[:, 6], label="Car")
-    made = objects_from_boxes(boxes, camera, classes={})
-    parts = [made.truncation, made.occlusion, made.alpha_rad, *made.box_px.T, *made.size_m.T, *made.bottom_m.T]
-    return [float(part[0]) for part in (*parts, made.rotation_y_rad)]
+    objects = objects_from_boxes(boxes, camera, classes={})
+    parts = [
+        objects.truncation,
+        objects.occlusion,
+        objects.alpha_rad,
+        *objects.box_px.T,
+        *objects.size_m.T,
+        *objects.bottom_m.T,
+    ]
+    return [float(part[0]) for part in (*parts, objects.rotation_y_rad)]

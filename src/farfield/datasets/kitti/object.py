@@ -65,8 +65,8 @@ class Kitti(Dataset):
         if classes not in ("cirrus", "kitti"):
             raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
         self.root, self.classes = Path(root), classes
-        places = [self.root / part, self.root]
-        self.folder = next((place for place in places if any(place.glob("velodyne/*.bin"))), places[0])
+        folders = [self.root / part, self.root]
+        self.folder = next((folder for folder in folders if any(folder.glob("velodyne/*.bin"))), folders[0])
         self.clouds = sorted(self.folder.glob("velodyne/*.bin"))
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected KITTI clouds in {part}/velodyne/*.bin, found none")
@@ -141,10 +141,10 @@ class Kitti(Dataset):
 
 def mounted(cameras: Mapping[str, Camera], pictured: bool) -> dict[str, Sensor]:
     """The lidar, in whose coordinates a frame is, and the camera, if it has a calibration or an image."""
-    known = {"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))}
+    sensors = {"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))}
     if cameras or pictured:
-        known["camera"] = camera_sensor(cameras.get("camera"))
-    return known
+        sensors["camera"] = camera_sensor(cameras.get("camera"))
+    return sensors
 
 
 def _read_annotation(
@@ -168,10 +168,10 @@ def is_tj4dradset(root: Path) -> bool:
         first = next(iter(sorted(base.glob("velodyne/*.bin"))[:1]), None)
         if first is not None:
             try:
-                found = bin_columns(first)
+                columns = bin_columns(first)
             except (FileFormatError, OSError):
                 return False
-            return found.count == len(COLUMNS) and found.names[_RANGE] == COLUMNS[_RANGE]
+            return columns.count == len(COLUMNS) and columns.names[_RANGE] == COLUMNS[_RANGE]
     return False
 
 

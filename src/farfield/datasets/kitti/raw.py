@@ -73,8 +73,8 @@ class KittiRaw(Dataset):
         return self.clouds[index].parents[2]
 
     def _image(self, index: int, camera: str) -> Path | None:
-        places = (self._drive(index) / camera / "data" / f"{self.frame_ids[index]}{suffix}" for suffix in _IMAGES)
-        return next((path for path in places if path.is_file()), None)
+        candidates = (self._drive(index) / camera / "data" / f"{self.frame_ids[index]}{suffix}" for suffix in _IMAGES)
+        return next((path for path in candidates if path.is_file()), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -88,8 +88,8 @@ class KittiRaw(Dataset):
         return (self._drive(index) / _LABELS).is_file()
 
     def _times_of(self, indices: Indices) -> Indices | None:
-        found = [self._time_ns(index, "middle") for index in np.asarray(indices).tolist()]
-        return None if None in found else np.array(found, dtype=np.int64)
+        times_ns = [self._time_ns(index, "middle") for index in np.asarray(indices).tolist()]
+        return None if None in times_ns else np.array(times_ns, dtype=np.int64)
 
     def _time_ns(self, index: int, which: str) -> int | None:
         path = self._drive(index) / CLOUDS / _STAMPS[which]
@@ -123,8 +123,8 @@ class KittiRaw(Dataset):
 
 def label_format(data: KittiRaw) -> TrackletLabels:
     """The tracklets of a data set's drives, to edit them."""
-    places = enumerate(zip(data.keys, data.frame_ids, strict=True))
-    return TrackletLabels({key: (data.clouds[index].parents[2] / _LABELS, int(name)) for index, (key, name) in places})
+    frames = enumerate(zip(data.keys, data.frame_ids, strict=True))
+    return TrackletLabels({key: (data.clouds[index].parents[2] / _LABELS, int(name)) for index, (key, name) in frames})
 
 
 def stamp_of(path: Path, frame_id: str) -> int | None:
@@ -139,10 +139,10 @@ def stamp_of(path: Path, frame_id: str) -> int | None:
 @lru_cache(maxsize=32)
 def _stamps(path: Path, changed_ns: int, size: int) -> Int64[np.ndarray, " n"]:
     del changed_ns, size
-    known = recognise_stamps(path)
-    if known is None:
+    stamps = recognise_stamps(path)
+    if stamps is None:
         raise FileFormatError(path, where="line 1", expected="a date and a time", found="something else")
-    return np.concatenate(list(read_stamps(known)))
+    return np.concatenate(list(read_stamps(stamps)))
 
 
 def cameras_of(day: Path) -> dict[str, Camera]:
@@ -155,12 +155,12 @@ def cameras_of(day: Path) -> dict[str, Camera]:
     if not between.is_file() or not ahead.is_file():
         return {}
     calib, first_T_lidar = read_raw_calib(between), rigid(read_raw_calib(ahead), ahead)
-    found = {}
+    cameras = {}
     for name in CAMERAS:
         matrix, rectified_T_first, (width, height) = rectified(calib, name[-2:], between)
         camera_T_lidar = rectified_T_first @ first_T_lidar
-        found[name] = Camera(matrix=matrix, camera_T_lidar=camera_T_lidar, width_px=width, height_px=height)
-    return found
+        cameras[name] = Camera(matrix=matrix, camera_T_lidar=camera_T_lidar, width_px=width, height_px=height)
+    return cameras
 
 
 def placed(drive: Path, frame_id: str, beginning: Path | None) -> Float[np.ndarray, "4 4"] | None:
@@ -201,7 +201,7 @@ def _annotation(path: Path, frame_id: str) -> Annotation:
 def _tracklets(path: Path, changed_ns: int, size: int) -> Mapping[str, tuple[Cuboid, ...]]:
     """The boxes of a drive by frame; its file is parsed once while it stays."""
     del changed_ns, size
-    found: dict[str, list[Cuboid]] = {}
+    cuboids_by_frame: dict[str, list[Cuboid]] = {}
     for cuboid in parse_tracklets(read_bytes(path), path):
-        found.setdefault(cuboid.frame, []).append(cuboid)
-    return {name: tuple(cuboids) for name, cuboids in found.items()}
+        cuboids_by_frame.setdefault(cuboid.frame, []).append(cuboid)
+    return {name: tuple(cuboids) for name, cuboids in cuboids_by_frame.items()}

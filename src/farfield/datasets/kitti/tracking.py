@@ -82,10 +82,10 @@ class KittiTracking(Dataset):
         return self._tracks[sequence].rows
 
     def _file(self, index: int, kind: str, *suffixes: str) -> Path | None:
-        places = (
+        candidates = (
             self.folder / kind / self.sequences[index] / f"{self.frame_ids[index]}{suffix}" for suffix in suffixes
         )
-        return next((path for path in places if path.is_file()), None)
+        return next((path for path in candidates if path.is_file()), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``; label and calibration files are shared by their sequence."""

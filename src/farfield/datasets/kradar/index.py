@@ -56,14 +56,14 @@ class FileIndex:
         """The first root's file of this name, or None."""
         folders = self._folders.get(relative.parent)
         if folders is None:
-            known = (root / relative.parent for root in self.roots)
-            folders = self._folders[relative.parent] = tuple(folder for folder in known if folder.is_dir())
+            candidates = (root / relative.parent for root in self.roots)
+            folders = self._folders[relative.parent] = tuple(folder for folder in candidates if folder.is_dir())
         return next((path for folder in folders if (path := folder / relative.name).is_file()), None)
 
     def product(self, product: str, sequence: str, index: int) -> Path | None:
         """A radar product's, LiDAR's or camera's file, also under the other names that documents give its folder."""
-        found = (self.find(path) for path in spellings(product, sequence, index))
-        return next((path for path in found if path is not None), None)
+        paths = (self.find(path) for path in spellings(product, sequence, index))
+        return next((path for path in paths if path is not None), None)
 
 
 def spellings(product: str, sequence: str, index: int) -> tuple[Path, ...]:
@@ -85,18 +85,18 @@ def find_sequences(roots: Sequence[Path]) -> list[str]:
     """Sequences of which some product, LiDAR sweep or annotation stands below one of the roots, in order."""
     patterns = [product_path(product, "*", 0).parent for product in (*RADAR_PRODUCTS, *LIDARS)]
     patterns += [Path("*", "radar_xyz_cube"), *(Path(tree.format(seq="*")) for t in LABEL_TREES.values() for tree in t)]
-    found: set[str] = set()
+    names: set[str] = set()
     for pattern in patterns:
-        place = next(number for number, part in enumerate(pattern.parts) if "*" in part)
+        level = next(number for number, part in enumerate(pattern.parts) if "*" in part)
         for root in roots:
             for folder in root.glob(pattern.as_posix()):
-                name = folder.relative_to(root).parts[place].removesuffix("_info_label_revised")
+                name = folder.relative_to(root).parts[level].removesuffix("_info_label_revised")
                 if folder.is_dir() and is_sequence(name):
-                    found.add(name)
+                    names.add(name)
     for root in roots:
-        bare = (folder for folder in root.glob("*") if is_sequence(folder.name) and folder.name not in found)
-        found |= {folder.name for folder in bare if any(is_stem(path.stem) for path in folder.glob("*_*.txt"))}
-    return sorted(found, key=int)
+        bare = (folder for folder in root.glob("*") if is_sequence(folder.name) and folder.name not in names)
+        names |= {folder.name for folder in bare if any(is_stem(path.stem) for path in folder.glob("*_*.txt"))}
+    return sorted(names, key=int)
 
 
 def find_labels(roots: Sequence[Path], sequence: str, versions: Iterable[str]) -> tuple[str, list[Path]] | None:
@@ -130,9 +130,9 @@ def bare_version(folder: Path, paths: Sequence[Path]) -> str:
     """
     parent = folder.resolve().parent.name
     named = {version: [Path(tree).parent.name for tree in trees] for version, trees in LABEL_TREES.items()}
-    known = next((version for version, names in named.items() if parent and parent in names), None)
-    if known is not None:
-        return known
+    version = next((version for version, names in named.items() if parent and parent in names), None)
+    if version is not None:
+        return version
     for path in paths:
         lines = parse_text(read_bytes(path, max_bytes=MAX_BYTES), path).lines
         if lines:
@@ -168,11 +168,11 @@ def index_sequence(roots: Sequence[Path], sequence: str, versions: Iterable[str]
 def _numbers(
     roots: Sequence[Path], sequence: str, products: Iterable[str], lidar_index: Callable[[int], int]
 ) -> set[int]:
-    found: set[int] = set()
+    numbers: set[int] = set()
     for example in (path for product in products for path in spellings(product, sequence, 0)):
         for root in roots:
-            found |= {lidar_index(number) for number in numbered_files(root / example.parent, example)}
-    return found
+            numbers |= {lidar_index(number) for number in numbered_files(root / example.parent, example)}
+    return numbers
 
 
 def numbered_files(folder: Path, example: Path) -> set[int]:

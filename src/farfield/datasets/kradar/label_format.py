@@ -54,8 +54,8 @@ class KRadarLabelFormat:
     @property
     def name(self) -> str:
         """``kradar-`` and the version of the first label file."""
-        known = (entry.version for entry in self.data.entries if entry.version)
-        return f"kradar-{next(known, _NEWEST)}"
+        versions = (entry.version for entry in self.data.entries if entry.version)
+        return f"kradar-{next(versions, _NEWEST)}"
 
     @property
     def attributes(self) -> Mapping[str, tuple[Value, ...]]:
@@ -104,22 +104,22 @@ def _parts(data: bytes, path: Path, key: Key) -> tuple[bytes, list[FileSpan]]:
     lines = iter(parse_text(data, path).lines)  # what is wrong with the file, in its words
     starts = [mark.start() for mark in _MARK.finditer(data)]
     parts: list[FileSpan] = []
-    place = 0
+    index = 0
     for start, end in zip(starts, [*starts, len(data)][1:], strict=True):
         raw = data[start:end]
         if raw.startswith(b"#"):
             parts.append(FileSpan(raw))
         else:
-            parts.append(FileSpan(raw, key, _label(next(lines), place)))
-            place += 1
+            parts.append(FileSpan(raw, key, _label(next(lines), index)))
+            index += 1
     return data[: starts[0]] if starts else data, parts
 
 
-def _label(line: LabelLine, place: int) -> BoxLabel:
+def _label(line: LabelLine, index: int) -> BoxLabel:
     x, y, z, degrees, length, width, height = line.values
     box: Numbers = (x, y, z, 2 * length, 2 * width, 2 * height, float(np.deg2rad(degrees)))
     return BoxLabel(
-        id=str(place),
+        id=str(index),
         label=line.name,
         box=box,
         track=str(line.numbers[0]) if len(line.numbers) == 1 else "",
@@ -140,7 +140,7 @@ def _changed(old: BoxLabel, new: BoxLabel) -> set[int]:
     """Places of the line's seven numbers that differ: x, y, z, yaw, half the length, width and height."""
     was, now = _numbers(old.box), _numbers(new.box)
     turn = abs((now[3] - was[3] + 180) % 360 - 180)
-    return {place for place in range(_VALUES) if (turn if place == 3 else abs(now[place] - was[place])) > _ALIKE}
+    return {column for column in range(_VALUES) if (turn if column == 3 else abs(now[column] - was[column])) > _ALIKE}
 
 
 def _numbers(box: Numbers) -> tuple[float, ...]:
@@ -165,8 +165,8 @@ class _LabelWriting:
         cells = self._new(new) if old is None else _cells(old.raw)
         before = None if old is None else old.label
         values = list(cells.values)
-        for place in range(_VALUES) if before is None else _changed(before, new):
-            values[place] = f" {_numbers(new.box)[place]!r}".encode()
+        for column in range(_VALUES) if before is None else _changed(before, new):
+            values[column] = f" {_numbers(new.box)[column]!r}".encode()
         name = cells.name
         if before is None or _name(before.label) != _name(new.label):
             name = f" {self._class(new.label)}".encode()
@@ -181,17 +181,17 @@ class _LabelWriting:
 
     def _new(self, label: BoxLabel) -> _ObjectCells:
         if self.version.startswith("v1"):
-            whole = [f" {len(self.parts) + int(label.id) if label.id.isdigit() else len(self.parts)}".encode()] * 2
+            numbers = [f" {len(self.parts) + int(label.id) if label.id.isdigit() else len(self.parts)}".encode()] * 2
         else:
-            whole = [f" {self._track(label)}".encode()]
+            numbers = [f" {self._track(label)}".encode()]
         flag = [f" {self._availability(label)}".encode()] if self.version.endswith(".1") else []
-        return _ObjectCells([b"*", *flag, *whole], b"", [b""] * _VALUES, b"\n")
+        return _ObjectCells([b"*", *flag, *numbers], b"", [b""] * _VALUES, b"\n")
 
     def _class(self, label: str) -> str:
         name = _name(label)
         if name not in CIRRUS_FROM_KRADAR:
-            known = ", ".join(CIRRUS_FROM_KRADAR)
-            raise ConfigError(f"{self.path}: expected a class of K-Radar ({known}), got {label!r}")
+            classes = ", ".join(CIRRUS_FROM_KRADAR)
+            raise ConfigError(f"{self.path}: expected a class of K-Radar ({classes}), got {label!r}")
         return name
 
     def _track(self, label: BoxLabel) -> str:

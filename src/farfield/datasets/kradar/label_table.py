@@ -163,10 +163,10 @@ def read_label_table(entries: Iterable[KRadarFiles], bulk: JobOptions = HERE) ->
         The table. A damaged file is named in ``damaged`` and left out.
     """
     rows, labelled = _LabelColumns(), [entry for entry in entries if entry.label is not None]
-    places = blocks(len(labelled), _BLOCK)
-    units = [replace(each, parameters=labelled[each.parameters.start : each.parameters.stop]) for each in places]
-    for done in values(_read_block, units, bulk):
-        rows.extend(done.value)
+    ranges = blocks(len(labelled), _BLOCK)
+    units = [replace(block, parameters=labelled[block.parameters.start : block.parameters.stop]) for block in ranges]
+    for result in values(_read_block, units, bulk):
+        rows.extend(result.value)
     return _table(rows)
 
 
@@ -182,33 +182,33 @@ def _read_block(unit: Unit) -> UnitResult:
 
 def _read(entry: KRadarFiles, path: Path, rows: _LabelColumns) -> None:
     data = read_bytes(path, max_bytes=MAX_BYTES)
-    known = _FILE_RE.fullmatch(data.decode("utf-8", errors="replace"))
-    if known is None:
+    match = _FILE_RE.fullmatch(data.decode("utf-8", errors="replace"))
+    if match is None:
         _read_slowly(data, entry, path, rows)
         return
-    lines = _LINE_RE.findall(known[9])
+    lines = _LINE_RE.findall(match[9])
     rows.frames.append((entry.sequence, entry.stem, entry.version or ""))
-    rows.headers.append((*map(int, known.groups()[:5]), int(known[6] + known[7])))
+    rows.headers.append((*map(int, match.groups()[:5]), int(match[6] + match[7])))
     rows.counts.append(len(lines))
     rows.lines += lines
-    rows.defects["blanks"] += bool(known[8])
+    rows.defects["blanks"] += bool(match[8])
 
 
 def _read_slowly(data: bytes, entry: KRadarFiles, path: Path, rows: _LabelColumns) -> None:
-    found = parse_text(data, path)
-    indices = [found.indices.get(name, -1) for name in INDEX_NAMES]
+    text = parse_text(data, path)
+    indices = [text.indices.get(name, -1) for name in INDEX_NAMES]
     rows.frames.append((entry.sequence, entry.stem, entry.version or ""))
-    rows.headers.append((*indices, -1 if found.time_ns is None else found.time_ns))
-    rows.counts.append(len(found.lines))
-    for line in found.lines:
+    rows.headers.append((*indices, -1 if text.time_ns is None else text.time_ns))
+    rows.counts.append(len(text.lines))
+    for line in text.lines:
         numbers = [str(number) for number in (*line.numbers, "")[:2]]
         rows.lines.append((line.availability, *numbers, line.name, *map(repr, line.values)))
-    slip = any(line.slip for line in found.lines)
-    rows.defects["merged_header"] += found.merged_header
+    slip = any(line.slip for line in text.lines)
+    rows.defects["merged_header"] += text.merged_header
     rows.defects["slip"] += slip
-    rows.defects["other_header"] += not found.usual_header
-    rows.defects["without_height"] += bool(found.from_above)
-    rows.defects["blanks"] += not (found.merged_header or slip or found.from_above) and found.usual_header
+    rows.defects["other_header"] += not text.usual_header
+    rows.defects["without_height"] += bool(text.from_above)
+    rows.defects["blanks"] += not (text.merged_header or slip or text.from_above) and text.usual_header
 
 
 def _table(rows: _LabelColumns) -> LabelTable:
@@ -242,12 +242,12 @@ def _defects(table: LabelTable) -> dict[str, Bool[np.ndarray, " _"]]:
     order = np.lexsort((table.track, table.frame))
     frame, track = table.frame[order], table.track[order]
     named = np.array([stem.split("_") for stem in table.stem.tolist()], dtype=np.int64).reshape(-1, 2)
-    known = table.indices[:, 0] >= 0
+    indexed = table.indices[:, 0] >= 0
     return {
         "yaw_turned": np.abs(table.yaw_deg) > 180.0,
         "odd_size": odd_sizes(table),
         "doubled_track": (frame[1:] == frame[:-1]) & (track[1:] == track[:-1]),
-        "odd_index": known & (table.indices[:, :2] != named).any(axis=1),
+        "odd_index": indexed & (table.indices[:, :2] != named).any(axis=1),
     }
 
 

@@ -135,23 +135,23 @@ def parse_labels(data: bytes, path: Path | str) -> KRadarLabels:
     Raises:
         FileFormatError: If the header or an object is not of a form above, or a number is not finite.
     """
-    found = parse_text(data, path)
-    table = np.array([line.values for line in found.lines], dtype=np.float64).reshape(-1, 7)
+    text = parse_text(data, path)
+    table = np.array([line.values for line in text.lines], dtype=np.float64).reshape(-1, 7)
     boxes = Boxes(
         centre_m=table[:, :3],
         size_m=2 * table[:, 4:],
         yaw_rad=np.deg2rad(table[:, 3]),
-        label=[normalised_class(line.name, CIRRUS_FROM_KRADAR) for line in found.lines],
-        track_id=_tracks(found.lines),
+        label=[normalised_class(line.name, CIRRUS_FROM_KRADAR) for line in text.lines],
+        track_id=_tracks(text.lines),
     )
-    known = tuple(line.availability for line in found.lines if line.availability)
+    availability = tuple(line.availability for line in text.lines if line.availability)
     return KRadarLabels(
         boxes=boxes,
-        indices=found.indices,
-        time_ns=found.time_ns,
-        raw_label=tuple(line.name for line in found.lines),
-        availability=known if len(known) == len(found.lines) else (),
-        from_above=found.from_above,
+        indices=text.indices,
+        time_ns=text.time_ns,
+        raw_label=tuple(line.name for line in text.lines),
+        availability=availability if len(availability) == len(text.lines) else (),
+        from_above=text.from_above,
     )
 
 
@@ -185,10 +185,10 @@ def annotation_of(labels: KRadarLabels, version: str) -> Annotation:
 
 
 def _parse_header(text: str, path: Path | str) -> tuple[dict[str, int], int | None]:
-    found = _HEADER.fullmatch(text.strip())
-    if found:
-        numbers = [int(group) for group in found.groups()[:5]]
-        time_ns = int(found[6]) * 1_000_000_000 + int((found[7] or "").ljust(9, "0"))
+    match = _HEADER.fullmatch(text.strip())
+    if match:
+        numbers = [int(group) for group in match.groups()[:5]]
+        time_ns = int(match[6]) * 1_000_000_000 + int((match[7] or "").ljust(9, "0"))
         return dict(zip(INDEX_NAMES, numbers, strict=True)), time_ns
     if not text.strip() or _OLD_HEADER.fullmatch(text.strip()):
         return {}, None
@@ -204,15 +204,15 @@ def _parse_object(cells: Sequence[str], path: Path | str, where: str) -> LabelLi
         availability = _AVAILABILITY.get(before[0].upper(), "")
         slip = before[0] != availability
         before = before[1:] if availability else []
-    whole = [number for number in map(_whole, before) if number is not None]
+    integers = [number for number in map(_whole, before) if number is not None]
     finite = [value for value in values if value is not None]
-    complete = len(whole) == len(before) in (1, 2) and len(finite) == 7
+    complete = len(integers) == len(before) in (1, 2) and len(finite) == 7
     if not complete or not name or _number(name) is not None:
         expected = "*, [R, L or L1,] one or two whole numbers, a class and seven numbers"
         raise FileFormatError(path, where=where, expected=expected, found=repr(", ".join(cells))[:120])
     if min(finite[4:]) <= 0:
         raise FileFormatError(path, where=where, expected="positive sizes", found=repr(cells[-3:])[:120])
-    return LabelLine(availability=availability, numbers=tuple(whole), name=name, values=tuple(finite), slip=slip)
+    return LabelLine(availability=availability, numbers=tuple(integers), name=name, values=tuple(finite), slip=slip)
 
 
 def _parse_from_above(cells: Sequence[str], path: Path | str, where: str) -> tuple[str, tuple[float, ...]]:
@@ -264,10 +264,10 @@ def format_labels(
     lines = []
     names = np.asarray(boxes.label).tolist()
     for row, (name, centre) in enumerate(zip(names, boxes.centre_m.tolist(), strict=True)):
-        if (theirs := KRADAR_FROM_CIRRUS.get(name)) is None:
+        if (kradar_class := KRADAR_FROM_CIRRUS.get(name)) is None:
             continue
         track = int(tracks[row])
         before = f"{track}, {track}" if version == "v1.0" else f"{flags[row]}, {track}"
         values = ", ".join(repr(float(value)) for value in (*centre, degrees[row], *half[row]))
-        lines.append(f"*, {before}, {theirs}, {values}\n")
+        lines.append(f"*, {before}, {kradar_class}, {values}\n")
     return header + ("\n" if lines else "") + "".join(lines)

@@ -111,8 +111,8 @@ def read_cells(path: Path) -> RadarCells:
     """
     columns = read_radar_cells(path)
     if columns["quantiles"].shape != (2, len(RATES)):
-        expected, found = f"quantiles of shape {(2, len(RATES))}", f"{columns['quantiles'].shape}"
-        raise FileFormatError(path, where="column 'quantiles'", expected=expected, found=found)
+        expected, actual = f"quantiles of shape {(2, len(RATES))}", f"{columns['quantiles'].shape}"
+        raise FileFormatError(path, where="column 'quantiles'", expected=expected, found=actual)
     return RadarCells(columns["index"], columns["code"], columns.get("doppler"), columns["quantiles"])
 
 
@@ -124,8 +124,8 @@ def _shaped(product: str, values: Shaped[np.ndarray, "..."], shape: tuple[int, .
 
 def _checked(path: Path, values: Shaped[np.ndarray, "..."], shape: tuple[int, ...]) -> np.ndarray:
     if values.shape != shape or values.dtype.kind != "f":
-        expected, found = f"floating-point numbers of shape {shape}", f"{values.dtype} of shape {values.shape}"
-        raise FileFormatError(path, where="the array", expected=expected, found=found)
+        expected, actual = f"floating-point numbers of shape {shape}", f"{values.dtype} of shape {values.shape}"
+        raise FileFormatError(path, where="the array", expected=expected, found=actual)
     return values
 
 
@@ -145,17 +145,17 @@ def write_lidar(path: Path, cloud: Cloud, *, lines: int, columns: int) -> None:
         write_pcd(path, fields, encoding="ascii")
         return
     ring, column = (cloud.extra[name].astype(np.int64) for name in ("ring", "column"))
-    place = ring * columns + column
+    cell = ring * columns + column
     if len(cloud) and (min(ring.min(), column.min()) < 0 or ring.max() >= lines or column.max() >= columns):
-        found = f"rings {ring.min()} to {ring.max()}, columns {column.min()} to {column.max()}"
+        actual = f"rings {ring.min()} to {ring.max()}, columns {column.min()} to {column.max()}"
         raise DatasetError(
-            f"{path.name}: expected points on a grid of {lines} rings and {columns} columns, got {found}"
+            f"{path.name}: expected points on a grid of {lines} rings and {columns} columns, got {actual}"
         )
-    if len(cloud) and np.bincount(place).max() > 1:
+    if len(cloud) and np.bincount(cell).max() > 1:
         raise DatasetError(f"{path.name}: expected one point a ring and column, got several in the same place")
     grid = {name: np.zeros(lines * columns, dtype=values.dtype) for name, values in fields.items()}
     for name, values in fields.items():
-        grid[name][place] = values
+        grid[name][cell] = values
     write_pcd(path, grid, encoding="ascii", height=lines)
 
 
@@ -194,21 +194,21 @@ def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
     fields = read_pcd(path)
     missing = [name for name in _FIELDS if name not in fields or fields[name].ndim != 1]
     if missing:
-        expected, found = f"fields {' '.join(_FIELDS)}", f"no single {missing[0]!r} a point"
-        raise FileFormatError(path, where="FIELDS", expected=expected, found=found)
+        expected, actual = f"fields {' '.join(_FIELDS)}", f"no single {missing[0]!r} a point"
+        raise FileFormatError(path, where="FIELDS", expected=expected, found=actual)
     points = np.stack([fields[axis].astype(np.float32) for axis in "xyz"], axis=1)
-    kept = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
+    returned = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
     columns, rest = divmod(len(points), LIDARS[lidar])
     signal = fields["intensity"].astype(np.float32)
-    whole = fields["t"].dtype.kind in "iu"
-    time_ns = fields["t"].astype(np.int64) + first_ns if whole else fields["t"]
+    is_integer = fields["t"].dtype.kind in "iu"
+    time_ns = fields["t"].astype(np.int64) + first_ns if is_integer else fields["t"]
     extra = {"signal": signal, "time_ns": time_ns, "range_mm": fields["range"]}
     extra |= {name: fields[name] for name in ("reflectivity", "ring", "ambient")}
-    if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[kept].all():
+    if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[returned].all():
         extra["column"] = (np.arange(len(points)) % columns).astype(np.uint16)
     with np.errstate(invalid="ignore"):
         strength = np.clip(np.nan_to_num(signal / np.float32(INTENSITY_COUNTS)), 0, 1).astype(np.float32)
-    return Cloud(points[kept], strength[kept], {name: values[kept] for name, values in extra.items()})
+    return Cloud(points[returned], strength[returned], {name: values[returned] for name, values in extra.items()})
 
 
 Image3 = UInt8[np.ndarray, "_ _ 3"]
@@ -220,10 +220,10 @@ def write_stereo(path: Path, left: Image3 | None, right: Image3 | None) -> None:
     Raises:
         DatasetError: If there is no image, or the two differ in size.
     """
-    given = [image for image in (left, right) if image is not None]
-    if not given or any(image.shape != given[0].shape for image in given):
-        raise DatasetError(f"{path.name}: expected one or two images of one size, got {[i.shape for i in given]}")
-    black = np.zeros_like(given[0])
+    images = [image for image in (left, right) if image is not None]
+    if not images or any(image.shape != images[0].shape for image in images):
+        raise DatasetError(f"{path.name}: expected one or two images of one size, got {[i.shape for i in images]}")
+    black = np.zeros_like(images[0])
     both = np.concatenate([black if image is None else image for image in (left, right)], axis=1)
     encoded = io.BytesIO()
     Image.fromarray(both).save(encoded, format="PNG", compress_level=1)
@@ -254,8 +254,8 @@ def read_moments(path: Path | str, axes: RadarAxes = KRADAR_AXES) -> Moments:
     """
     with open_mat(path, "arrDREA") as stream:
         if stream.shape != TESSERACT_SHAPE or stream.dtype.kind != "f":
-            expected, found = f"floating-point numbers of shape {TESSERACT_SHAPE}", f"{stream.dtype} of {stream.shape}"
-            raise FileFormatError(path, where="the array", expected=expected, found=found)
+            expected, actual = f"floating-point numbers of shape {TESSERACT_SHAPE}", f"{stream.dtype} of {stream.shape}"
+            raise FileFormatError(path, where="the array", expected=expected, found=actual)
         reduced = moments_of_columns(stream.blocks(_BLOCK_CELLS), axes)
     return Moments(*(np.ascontiguousarray(values[:, ::-1, ::-1]) for values in reduced))
 

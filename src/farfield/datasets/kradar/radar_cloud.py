@@ -89,11 +89,11 @@ class RadarView:
         source = _source(frame, self)
         if source is None:
             return frame
-        kept = {name: _loader(frame, name) for name in frame.clouds}
-        if isinstance(kept.get(RADAR_CLOUD), StackedCloud):
+        loaders = {name: _loader(frame, name) for name in frame.clouds}
+        if isinstance(loaders.get(RADAR_CLOUD), StackedCloud):
             raise ConfigError(f"radar_view: frame {frame.key} has several sweeps already; stack them after the view.")
         loader = TransformedCloud(partial(_read, frame.radar, source, self), _frame_T_radar(frame, source))
-        return replace(frame, clouds=Lazy(kept | {RADAR_CLOUD: loader}))
+        return replace(frame, clouds=Lazy(loaders | {RADAR_CLOUD: loader}))
 
 
 def _source(frame: Frame, view: RadarView) -> str | None:
@@ -113,8 +113,8 @@ def _read(products: Mapping[str, Any], source: str, view: RadarView) -> Cloud:
 
 def _frame_T_radar(frame: Frame, source: str) -> Pose:
     """Pose of the radar that a product is from, or else of the frame's radar."""
-    known = (frame.sensors[name].frame_T_sensor for name in (source, RADAR_CLOUD) if name in frame.sensors)
-    pose = next((one for one in known if one is not None), None)
+    poses = (frame.sensors[name].frame_T_sensor for name in (source, RADAR_CLOUD) if name in frame.sensors)
+    pose = next((candidate for candidate in poses if candidate is not None), None)
     if pose is None:
         raise ConfigError(f"radar_view: expected frame {frame.key} to know where the radar of {source!r} stands.")
     return pose
@@ -152,6 +152,6 @@ def radar_cloud(product: str, values: Any, view: RadarView) -> Cloud:
 def _of_columns(columns: Float32[np.ndarray, "n c"], view: RadarView) -> Cloud:
     region = find_region(view.region)
     bounds = np.array([region.x_m, region.y_m, region.z_m], dtype=np.float64)
-    kept = columns[((columns[:, :3] >= bounds[:, 0]) & (columns[:, :3] < bounds[:, 1])).all(axis=1)]
-    extra = {"doppler_m_s": kept[:, 4]} if columns.shape[1] > 4 else {}
-    return Cloud(kept[:, :3], None, {"power": kept[:, 3], **extra})
+    inside = columns[((columns[:, :3] >= bounds[:, 0]) & (columns[:, :3] < bounds[:, 1])).all(axis=1)]
+    extra = {"doppler_m_s": inside[:, 4]} if columns.shape[1] > 4 else {}
+    return Cloud(inside[:, :3], None, {"power": inside[:, 3], **extra})

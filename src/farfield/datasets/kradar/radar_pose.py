@@ -112,9 +112,9 @@ def read_side_file(path: Path) -> dict[str, Any]:
     if text.exists():
         _, x, y = read_radar_calibration(text)
         if max(abs(matrix[0, 3] + x), abs(matrix[1, 3] + y)) > _ROUNDED_M:
-            found = f"{matrix[0, 3]:.4f}, {matrix[1, 3]:.4f} against {-x:.4f}, {-y:.4f}"
+            actual = f"{matrix[0, 3]:.4f}, {matrix[1, 3]:.4f} against {-x:.4f}, {-y:.4f}"
             mend = "The text file counts: delete the side file or calibrate anew."
-            raise FileFormatError(path, where="x, y", expected=f"those of {text.name}", found=found, mend=mend)
+            raise FileFormatError(path, where="x, y", expected=f"those of {text.name}", found=actual, mend=mend)
     return dict(content, radar_T_lidar=matrix, yaw_rad=yaw)
 
 

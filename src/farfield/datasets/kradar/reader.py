@@ -128,9 +128,9 @@ class KRadar(Dataset):
             if labels is None or entry.label is not None
         ]
         if not self.entries:
-            wanted = "files of K-Radar" if labels is None else f"annotations {labels}"
+            missing = "files of K-Radar" if labels is None else f"annotations {labels}"
             looked = "<sequence>/os2-64/*.pcd, <sequence>/radar_zyx_cube/*.mat, <sequence>/info_label/*.txt, ..."
-            raise DatasetError(f"{self.root}: expected {wanted}, found none. Looked for {looked}")
+            raise DatasetError(f"{self.root}: expected {missing}, found none. Looked for {looked}")
         self.sequences = tuple(entry.sequence for entry in self.entries)
         self.frame_ids = tuple(entry.stem for entry in self.entries)
         self._shared: dict[str, tuple[SequenceFacts, dict[int, Float[np.ndarray, "4 4"]]]] = {}
@@ -172,8 +172,8 @@ class KRadar(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index`` that are there."""
         entry = self.entries[index]
-        found = [entry.label, self._record_path(entry), *self._paths(entry, self._indices(entry)).values()]
-        return [path for path in found if path is not None]
+        paths = [entry.label, self._record_path(entry), *self._paths(entry, self._indices(entry)).values()]
+        return [path for path in paths if path is not None]
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
@@ -236,8 +236,8 @@ class KRadar(Dataset):
         return listed.get(product_path("os2-64", "", entry.lidar).name) if record is None else record.time_ns
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        found = (int(index) for index in indices)
-        return all_poses(self._pose(index, self._record(self.entries[index])) for index in found)
+        rows = (int(index) for index in indices)
+        return all_poses(self._pose(index, self._record(self.entries[index])) for index in rows)
 
     def split_parts(self) -> dict[str, list[str]]:
         """The sequences of each part: of ``splits/kradar_v1.json`` in the root, or else ours of the published set."""
@@ -249,18 +249,18 @@ class KRadar(Dataset):
         """Indices of a frame's files: the record's, the annotation's, or what the name says."""
         raw = read_labels(entry.label) if raw is None and entry.label is not None else raw
         record = self._record(entry) if record is None else record
-        known = dict(raw.indices) if raw is not None else {}
-        known |= record.indices if record is not None else {}
-        known |= {"radar": entry.radar, "os2-64": entry.lidar}
-        return {"os1-128": entry.lidar} | {name: known[name] for name in INDEX_NAMES if name in known}
+        indices = dict(raw.indices) if raw is not None else {}
+        indices |= record.indices if record is not None else {}
+        indices |= {"radar": entry.radar, "os2-64": entry.lidar}
+        return {"os1-128": entry.lidar} | {name: indices[name] for name in INDEX_NAMES if name in indices}
 
     def _paths(self, entry: KRadarFiles, indices: dict[str, int]) -> dict[str, Path]:
-        found = {
+        paths = {
             product: self._files.product(product, entry.sequence, indices[index_name(product)])
             for product in (*RADAR_PRODUCTS, *LIDARS, *CAMERAS)
             if index_name(product) in indices
         }
-        return {product: path for product, path in found.items() if path is not None}
+        return {product: path for product, path in paths.items() if path is not None}
 
     def _record_path(self, entry: KRadarFiles) -> Path | None:
         return self._files.find(record_path(entry.sequence, entry.stem))
@@ -272,18 +272,18 @@ class KRadar(Dataset):
     def _of_sequence(self, sequence: str) -> tuple[SequenceFacts, dict[int, Float[np.ndarray, "4 4"]]]:
         if sequence not in self._shared:
             facts = read_sequence(self._files, sequence, calibration=self.calibration)
-            members = [index for index, one in enumerate(self.entries) if one.sequence == sequence and one.label]
+            members = [index for index, entry in enumerate(self.entries) if entry.sequence == sequence and entry.label]
             self._shared[sequence] = facts, annotated_poses(facts, members)
         return self._shared[sequence]
 
     def _pose(self, index: int, record: FrameRecord | None) -> Float[np.ndarray, "4 4"] | None:
-        known = record.pose("world_T_lidar") if record is not None else None
-        return self._of_sequence(self.sequences[index])[1].get(index) if known is None else known
+        pose = record.pose("world_T_lidar") if record is not None else None
+        return self._of_sequence(self.sequences[index])[1].get(index) if pose is None else pose
 
     def _os2_T_os1(self, sequence: str, record: FrameRecord | None) -> Float[np.ndarray, "4 4"] | None:
         """As ``farfield calibrate lidar-lidar`` wrote it, or else as the writer knew it."""
-        found = read_os2_T_os1(self._files, sequence)
-        return record.pose("os2_T_os1") if found is None and record is not None else found
+        os2_T_os1 = read_os2_T_os1(self._files, sequence)
+        return record.pose("os2_T_os1") if os2_T_os1 is None and record is not None else os2_T_os1
 
     def _os2_T_radar(self, index: int) -> Float[np.ndarray, "4 4"]:
         sequence = self.sequences[index]
@@ -325,17 +325,19 @@ def _sensors(
     os2_T_os1: Float[np.ndarray, "4 4"] | None,
 ) -> dict[str, Sensor]:
     """Where each sensor stands in the os2-64's coordinates, in which its own cloud and the radar's points are."""
-    known = {"os2-64": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=times.get("os2-64"))}
+    sensors = {"os2-64": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=times.get("os2-64"))}
     if "os1-128" in paths:
-        known["os1-128"] = Sensor(kind="lidar", frame_T_sensor=os2_T_os1, in_frame=False, time_ns=times.get("os1-128"))
+        sensors["os1-128"] = Sensor(
+            kind="lidar", frame_T_sensor=os2_T_os1, in_frame=False, time_ns=times.get("os1-128")
+        )
     products = [name for name in RADAR_PRODUCTS if name in paths]
     taken_ns = next((times[name] for name in (RADAR_CLOUD, *products) if name in times), None)
-    known[RADAR_CLOUD] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, time_ns=taken_ns)
+    sensors[RADAR_CLOUD] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, time_ns=taken_ns)
     for name in (*products, *([MOMENTS] if "tesseract" in products else [])):
-        known[name] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, in_frame=False, time_ns=times.get(name))
+        sensors[name] = Sensor(kind="radar", frame_T_sensor=os2_T_radar, in_frame=False, time_ns=times.get(name))
     for name in sorted({*_eyes(paths), *cameras}):
-        known[name] = camera_sensor(cameras.get(name), times.get(name.removesuffix(RIGHT_EYE)))
-    return known
+        sensors[name] = camera_sensor(cameras.get(name), times.get(name.removesuffix(RIGHT_EYE)))
+    return sensors
 
 
 def _files(entry: KRadarFiles, record: Path | None, paths: Mapping[str, Path]) -> dict[str, Callable[[], Any]]:
@@ -351,14 +353,14 @@ def _times(of_files: dict[str, int], paths: dict[str, Path], record: FrameRecord
 
 def _measured(shared: SequenceFacts, time_ns: int | None) -> dict[str, Callable[[], Any]]:
     """The film, where the conditions come from, and the GPS's and IMUs' measurements nearest to a frame."""
-    known: dict[str, Callable[[], Any]] = {}
+    loaders: dict[str, Callable[[], Any]] = {}
     if shared.conditions_from:
-        known["conditions_from"] = Constant(shared.conditions_from)
+        loaders["conditions_from"] = Constant(shared.conditions_from)
     if shared.video is not None:
-        known["video"] = Constant(str(shared.video))
+        loaders["video"] = Constant(str(shared.video))
     if time_ns is not None:
-        known |= {name: partial(_nearest, shared.motion, name, time_ns) for name in shared.motion}
-    return known
+        loaders |= {name: partial(_nearest, shared.motion, name, time_ns) for name in shared.motion}
+    return loaders
 
 
 def _nearest(motion: Lazy, name: str, time_ns: int) -> dict[str, float] | None:
@@ -392,12 +394,12 @@ def split_of_sequences(sequences: Iterable[str]) -> dict[str, list[str]]:
     Returns:
         ``train``, ``val`` and ``test``; nothing where a sequence is not a published one or a part would be empty.
     """
-    known = {str(number): part for part, numbers in WHOLE_SEQUENCES.items() for number in numbers}
+    part_of = {str(number): part for part, numbers in WHOLE_SEQUENCES.items() for number in numbers}
     parts: dict[str, list[str]] = {part: [] for part in WHOLE_SEQUENCES}
     for name in sorted(set(sequences), key=lambda name: (len(name), name)):
-        if name not in known:
+        if name not in part_of:
             return {}
-        parts[known[name]].append(name)
+        parts[part_of[name]].append(name)
     return parts if all(parts.values()) else {}
 
 
@@ -409,9 +411,9 @@ def read_split_list(path: Path) -> set[tuple[str, str]]:
     """
     keys = set()
     for number, line in enumerate(read_lines(path), start=1):
-        found = _LINE.fullmatch(line)
-        if found is None:
+        match = _LINE.fullmatch(line)
+        if match is None:
             expected = "a line such as 1,00033_00001.txt"
             raise FileFormatError(path, where=f"line {number}", expected=expected, found=repr(line[:80]))
-        keys.add((found[1], found[2]))
+        keys.add((match[1], match[2]))
     return keys

@@ -82,7 +82,7 @@ def read_sequence(files: FileIndex, sequence: str, *, calibration: str | None = 
     Raises:
         FileFormatError: If a file is damaged.
     """
-    conditions, said_by = read_conditions(files, sequence)
+    conditions, conditions_from = read_conditions(files, sequence)
     times: dict[str, int] = {}
     for sensor in (*LIDARS, *CAMERAS):
         path = files.find(Path(sequence, "time_info", f"{sensor}.txt"))
@@ -91,7 +91,7 @@ def read_sequence(files: FileIndex, sequence: str, *, calibration: str | None = 
     motion = motion_files(files.roots, sequence)
     return SequenceFacts(
         conditions=conditions,
-        conditions_from=said_by,
+        conditions_from=conditions_from,
         times_ns=times,
         poses=read_poses(files.roots, sequence),
         cameras={name: read_camera(path) for name, path in camera_files.items()},
@@ -114,9 +114,9 @@ def read_conditions(files: FileIndex, sequence: str) -> tuple[dict[str, str], st
         path = files.find(Path(sequence, name))
         if path is not None:
             return read_description(path), "description.txt"
-    made = any(is_simulated(root) or (root / sequence / "frame_record").exists() for root in files.roots)
-    known = {} if made else published_conditions(sequence)
-    return known, "published table" if known else ""
+    simulated = any(is_simulated(root) or (root / sequence / "frame_record").exists() for root in files.roots)
+    conditions = {} if simulated else published_conditions(sequence)
+    return conditions, "published table" if conditions else ""
 
 
 def find_camera_files(files: FileIndex, sequence: str, *, calibration: str | None = None) -> dict[str, Path]:
@@ -129,17 +129,17 @@ def find_camera_files(files: FileIndex, sequence: str, *, calibration: str | Non
     """
     releases = RELEASES if calibration is None else (calibration,)
     folders = [folder for release in releases for folder in _FOLDERS[release]]
-    found = {}
+    files_by_eye = {}
     for name, number in EYES.items():
         own = [folder / f"seq_{int(sequence):02d}" / f"cam_{number}.yml" for folder in folders]
         if calibration is None:
             eye = f"{name.removesuffix(RIGHT_EYE).removeprefix('cam-')}{int(name.endswith(RIGHT_EYE))}"
             own += [folder / f"seq_{int(sequence):02d}" / f"cam_{number}.yml" for folder in _UNNAMED]
             own += [folder / f"cam_{eye}.yml" for folder in _COMMON]
-        path = next((path for place in own if (path := files.find(place)) is not None), None)
+        path = next((path for candidate in own if (path := files.find(candidate)) is not None), None)
         if path is not None:
-            found[name] = path
-    return found
+            files_by_eye[name] = path
+    return files_by_eye
 
 
 def annotated_poses(facts: SequenceFacts, members: Sequence[int]) -> dict[int, Float[np.ndarray, "4 4"]]:

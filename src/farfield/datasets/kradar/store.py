@@ -92,8 +92,8 @@ def convert_to_store(
     settings = settings or StoreSettings()
     units = _units(dataset, settings)
     if not units:
-        wanted = "radar_tesseract" if settings.products == ("polar3d",) else "radar_tesseract, radar_zyx_cube or polar"
-        raise DatasetError(f"{dataset.root}: expected frames with {wanted} files to convert, found none")
+        sources = "radar_tesseract" if settings.products == ("polar3d",) else "radar_tesseract, radar_zyx_cube or polar"
+        raise DatasetError(f"{dataset.root}: expected frames with {sources} files to convert, found none")
     journal = JobJournal(target / JOURNAL_NAME, settings.text, overwrite=overwrite)
     outcome = run(ConvertFrame(target, settings), units, bulk, journal=journal)
     if outcome.written or not (target / MANIFEST_NAME).is_file():
@@ -271,17 +271,17 @@ TASKS: dict[str, tuple[tuple[str, ...], ...]] = {
 def modalities(dataset: Dataset) -> dict[str, tuple[int, int]]:
     """Number of files and bytes of each modality that a tree holds; labels are those that the reader uses."""
     folders = {product_path(name, "1", 0).parts[-2 if name in _IN_SEQUENCE else -3]: name for name in _KNOWN}
-    found = dict.fromkeys((*_KNOWN, "labels"), (0, 0))
-    seen: set[Path] = set()
+    counts = dict.fromkeys((*_KNOWN, "labels"), (0, 0))
+    counted_paths: set[Path] = set()
     for index in range(len(dataset)):
         for path in dataset.files(index):
-            place = next((folders[part] for part in path.parts[-3:-1] if part in folders), None)
-            name = place or ("labels" if path.suffix == ".txt" else None)
-            if name is not None and path not in seen:
-                seen.add(path)
-                count, size = found[name]
-                found[name] = count + 1, size + path.stat().st_size
-    return {name: counted for name, counted in found.items() if counted[0]}
+            modality = next((folders[part] for part in path.parts[-3:-1] if part in folders), None)
+            name = modality or ("labels" if path.suffix == ".txt" else None)
+            if name is not None and path not in counted_paths:
+                counted_paths.add(path)
+                count, size = counts[name]
+                counts[name] = count + 1, size + path.stat().st_size
+    return {name: counted for name, counted in counts.items() if counted[0]}
 
 
 _KNOWN = (*RADAR_PRODUCTS, *LIDARS, *CAMERAS)

@@ -84,10 +84,10 @@ def read_times(path: Path) -> dict[str, int]:
     """
     times: dict[str, int] = {}
     for number, line in enumerate(read_lines(path), start=1):
-        found = re.fullmatch(r"([^,]+?)\s*,\s*([0-9]{1,9}|[0-8][0-9]{9})(?:\.([0-9]{1,9})[0-9]*)?", line)
-        if not found:
+        match = re.fullmatch(r"([^,]+?)\s*,\s*([0-9]{1,9}|[0-8][0-9]{9})(?:\.([0-9]{1,9})[0-9]*)?", line)
+        if not match:
             raise FileFormatError(path, where=f"line {number}", expected="file, unix seconds", found=repr(line[:100]))
-        times[found[1]] = int(found[2]) * 1_000_000_000 + int((found[3] or "").ljust(9, "0"))
+        times[match[1]] = int(match[2]) * 1_000_000_000 + int((match[3] or "").ljust(9, "0"))
     return times
 
 
@@ -119,8 +119,8 @@ def read_camera(path: Path) -> Camera:
     cells = {key.strip(): value.strip() for key, _, value in pairs}
     for key in (*_CAMERA_KEYS, *_POSE_KEYS):
         if numbers_of([cells.get(key, "")]) is None:
-            found = repr(cells.get(key))[:80]
-            raise FileFormatError(path, where=f"key {key!r}", expected="a finite number", found=found)
+            actual = repr(cells.get(key))[:80]
+            raise FileFormatError(path, where=f"key {key!r}", expected="a finite number", found=actual)
     fx, fy, px, py, *distortion = (float(cells[key]) for key in _CAMERA_KEYS)
     yaw, pitch, roll, *translation = (float(cells[key]) for key in _POSE_KEYS)
     pose = np.eye(4)
@@ -232,20 +232,23 @@ def _read_table(path: Path, columns: Sequence[str]) -> TimedTable:
     times = np.empty(len(lines), dtype=np.int64)
     values = np.empty((len(lines), len(columns)))
     for row, cells in enumerate(lines):
-        found, time_ns = numbers_of(cells[1:]), _time_ns(cells[0])
-        if found is None or time_ns is None or len(found) != len(columns):
+        numbers, time_ns = numbers_of(cells[1:]), _time_ns(cells[0])
+        if numbers is None or time_ns is None or len(numbers) != len(columns):
             expected = f"a time and {len(columns)} finite numbers"
             raise FileFormatError(path, where=f"row {row + 1}", expected=expected, found=repr(", ".join(cells))[:100])
-        times[row], values[row] = time_ns, found
+        times[row], values[row] = time_ns, numbers
     return TimedTable(time_ns=times, values=values, columns=tuple(columns))
 
 
 def _time_ns(cell: str) -> int | None:
     """Unix nanoseconds of a time in seconds (10 digits before the point), micro- (16) or nanoseconds (19)."""
-    whole, _, part = cell.strip().partition(".")
-    if not (whole.isascii() and whole.isdigit() and len(whole) in (10, 13, 16, 19)) or not (part + "0").isdecimal():
+    digits_before, _, part = cell.strip().partition(".")
+    if (
+        not (digits_before.isascii() and digits_before.isdigit() and len(digits_before) in (10, 13, 16, 19))
+        or not (part + "0").isdecimal()
+    ):
         return None
-    digits = (whole + part if len(whole) == 10 else whole).ljust(19, "0")[:19]
+    digits = (digits_before + part if len(digits_before) == 10 else digits_before).ljust(19, "0")[:19]
     return int(digits) if digits.isascii() and int(digits) < 1 << 63 else None
 
 
@@ -294,14 +297,14 @@ def read_poses(roots: Sequence[Path], sequence: str) -> Float[np.ndarray, "n 4 4
 
 def motion_files(roots: Sequence[Path], sequence: str) -> dict[str, Path]:
     """Files of the GPS receiver and the IMUs of a sequence: ``gps``, ``gps_local``, ``imu``, ``imu_2``."""
-    found: dict[str, Path] = {}
+    paths_by_name: dict[str, Path] = {}
     for root in roots:
         local = root / RESOURCES / "odometry" / f"seq_{int(sequence)}_local.csv"
         if local.is_file():
-            found.setdefault("gps_local", local)
+            paths_by_name.setdefault("gps_local", local)
         for name in ("gps", "imu"):
             base = root / sequence
             paths = sorted(path for pattern in (f"{name}*.txt", f"{name}/*.txt") for path in base.glob(pattern))
             for number, path in enumerate(paths[: 2 if name == "imu" else 1]):
-                found.setdefault(name if number == 0 else f"{name}_2", path)
-    return found
+                paths_by_name.setdefault(name if number == 0 else f"{name}_2", path)
+    return paths_by_name

@@ -106,18 +106,18 @@ class KRadarWriter:
         products = [name for name in RADAR_PRODUCTS if name in frame.radar]
         products += [name for name in LIDARS if name in frame.clouds]
         products += [name for name in CAMERAS if name in frame.images or name + RIGHT_EYE in frame.images]
-        found: dict[str, Path] = {}
+        files: dict[str, Path] = {}
         for product in products:
             index = indices.get(index_name(product))
             if index is None:
                 missing = f"indices[{index_name(product)!r}], which numbers its {product} file"
                 raise DatasetError(f"frame {frame.key}: expected {missing}")
-            found[product] = self.root / product_path(product, frame.sequence, index)
+            files[product] = self.root / product_path(product, frame.sequence, index)
         stem = label_stem(indices["radar"], indices["os2-64"])
         if frame.has_annotation:
             folders = {version: LABEL_TREES[version][0].format(seq=frame.sequence) for version in self.labels}
-            found |= {f"label_{version}": self.root / folder / f"{stem}.txt" for version, folder in folders.items()}
-        return found | {"record": self.root / record_path(frame.sequence, stem)}
+            files |= {f"label_{version}": self.root / folder / f"{stem}.txt" for version, folder in folders.items()}
+        return files | {"record": self.root / record_path(frame.sequence, stem)}
 
     def write(self, frame: Frame) -> dict[str, Path]:
         """Write one frame, every file whole or not at all, the annotations and the record last.
@@ -163,8 +163,8 @@ class KRadarWriter:
         annotation = frame.annotation or Annotation(boxes=Boxes.empty())
         boxes, availability = annotation.boxes, list(annotation.visibility or ())
         if not set(availability) <= {"R", "L", "L1"}:
-            found = ", ".join(sorted(set(availability)))
-            raise DatasetError(f"frame {frame.key}: expected visibility R, L or L1 of each box, got {found}")
+            actual = ", ".join(sorted(set(availability)))
+            raise DatasetError(f"frame {frame.key}: expected visibility R, L or L1 of each box, got {actual}")
         indices, time_ns = self._indices(frame), self._time_ns(frame)
         return format_labels(boxes, indices, time_ns, version=version, availability=availability)
 
@@ -244,15 +244,15 @@ class FrameRecord(BaseModel):
     @classmethod
     def of(cls, frame: Frame, indices: dict[str, int], time_ns: int) -> "FrameRecord":
         """Record a frame."""
-        high = frame.sensors.get("os1-128")
-        poses = {"world_T_lidar": frame.world_T_frame, "os2_T_os1": None if high is None else high.frame_T_sensor}
+        os1 = frame.sensors.get("os1-128")
+        poses = {"world_T_lidar": frame.world_T_frame, "os2_T_os1": None if os1 is None else os1.frame_T_sensor}
         times = {name: frame.sensors[name].time_ns for name in _TIMED if name in frame.sensors}
         return cls.model_validate(
             {
                 "sequence": frame.sequence,
                 "indices": dict(sorted(indices.items())),
                 "time_ns": time_ns,
-                "times_ns": {name: known for name, known in sorted(times.items()) if known is not None},
+                "times_ns": {name: sensor_ns for name, sensor_ns in sorted(times.items()) if sensor_ns is not None},
                 "first_shot_ns": {name: first_shot_ns(frame.clouds[name]) for name in LIDARS if name in frame.clouds},
                 "conditions": dict(sorted(frame.conditions.items())),
                 "cameras": {name: CameraRecord.of(frame.cameras[name]) for name in EYES if name in frame.cameras},
@@ -309,13 +309,13 @@ def read_records(root: Path) -> dict[str, list[FrameRecord]]:
     Raises:
         FileFormatError: If a record is damaged.
     """
-    found: dict[str, list[FrameRecord]] = {}
+    records: dict[str, list[FrameRecord]] = {}
     folders = [folder for folder in root.iterdir() if is_sequence(folder.name)] if root.is_dir() else []
     for folder in sorted(folders, key=lambda folder: int(folder.name)):
         paths = sorted(path for path in folder.glob("frame_record/*.json") if is_stem(path.stem))
         if paths:
-            found[folder.name] = [read_record(path) for path in paths]
-    return found
+            records[folder.name] = [read_record(path) for path in paths]
+    return records
 
 
 def sequence_files(sequence: str, records: Sequence[FrameRecord]) -> dict[Path, str]:
@@ -333,13 +333,13 @@ def sequence_files(sequence: str, records: Sequence[FrameRecord]) -> dict[Path, 
         if times:
             texts[Path(sequence, "time_info", f"{sensor}.txt")] = format_times(times)
     for name, number in EYES.items():
-        seen = next((record.cameras[name] for record in records if name in record.cameras), None)
-        if seen is not None:
-            texts[camera_path(sequence, number)] = format_camera(seen.camera(), number)
+        camera = next((record.cameras[name] for record in records if name in record.cameras), None)
+        if camera is not None:
+            texts[camera_path(sequence, number)] = format_camera(camera.camera(), number)
     poses = [record.pose("world_T_lidar") for record in records]
-    known = [pose for pose in poses if pose is not None]
-    if len(known) == len(records):
-        texts[odometry_path(sequence)] = format_odometry(known)
+    present = [pose for pose in poses if pose is not None]
+    if len(present) == len(records):
+        texts[odometry_path(sequence)] = format_odometry(present)
     return texts
 
 
@@ -356,9 +356,9 @@ def odometry_path(sequence: str) -> Path:
 def _times(sequence: str, sensor: str, records: Sequence[FrameRecord]) -> dict[str, int]:
     times: dict[str, int] = {}
     for record in records:
-        known = record.times_ns | ({} if "os2-64" in record.times_ns else {"os2-64": record.time_ns})
-        if sensor in known and index_name(sensor) in record.indices:
-            times[product_path(sensor, sequence, record.indices[index_name(sensor)]).name] = known[sensor]
+        times_ns = record.times_ns | ({} if "os2-64" in record.times_ns else {"os2-64": record.time_ns})
+        if sensor in times_ns and index_name(sensor) in record.indices:
+            times[product_path(sensor, sequence, record.indices[index_name(sensor)]).name] = times_ns[sensor]
     return times
 
 

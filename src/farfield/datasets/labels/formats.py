@@ -45,8 +45,8 @@ class BoxLabel:
     @property
     def keyframe(self) -> bool:
         """Whether a person stands for it: interpolation and propagation leave it as it is."""
-        made = self.source in ("interpolated", "propagated", "detector")
-        return self.state in ("edited", "accepted") and not (made and self.state != "accepted")
+        generated = self.source in ("interpolated", "propagated", "detector")
+        return self.state in ("edited", "accepted") and not (generated and self.state != "accepted")
 
 
 @runtime_checkable
@@ -128,8 +128,8 @@ def label_format(data: Dataset) -> LabelFormat | None:
         data: The data set; its maps do not matter, as label files stand in the reader's own coordinates.
     """
     name = _OF_READER.get(data.unwrapped.name)
-    found: LabelFormat | None = None if name is None else _load(name)(data.unwrapped)
-    return found
+    label_files: LabelFormat | None = None if name is None else _load(name)(data.unwrapped)
+    return label_files
 
 
 def label_files_in(folder: Path, name: str, *, reference: str = "") -> LabelFormat:
@@ -146,11 +146,11 @@ def label_files_in(folder: Path, name: str, *, reference: str = "") -> LabelForm
     if name not in _IN_A_FOLDER:
         raise DatasetError(f"label files: expected one of {', '.join(_IN_A_FOLDER)}; got {name!r}")
     named = {"reference": reference} if reference and name == "boxes-csv" else {}
-    found: LabelFormat = _load(_IN_A_FOLDER[name])(folder, **named)
-    return found
+    label_files: LabelFormat = _load(_IN_A_FOLDER[name])(folder, **named)
+    return label_files
 
 
 def _load(name: str) -> Callable[..., Any]:
-    module, _, thing = name.partition(":")
-    loaded: Callable[..., Any] = getattr(import_module(module), thing)
+    module, _, attribute = name.partition(":")
+    loaded: Callable[..., Any] = getattr(import_module(module), attribute)
     return loaded

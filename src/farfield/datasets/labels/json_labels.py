@@ -44,7 +44,7 @@ class JsonLabels(ABC):
         """A file without objects."""
 
     @abstractmethod
-    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, existing: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """What an entry says of a cuboid, by the way to it within the entry."""
 
     @abstractmethod
@@ -58,9 +58,9 @@ class JsonLabels(ABC):
             return True
         return name.isdecimal() and key[1].isdecimal() and int(name) == int(key[1])
 
-    def prepared(self, text: str, place: CuboidEntry | None, cuboid: Cuboid) -> str:
+    def prepared(self, text: str, existing: CuboidEntry | None, cuboid: Cuboid) -> str:
         """A file's text that can hold a cuboid; formats that list their classes add one here."""
-        del place, cuboid
+        del existing, cuboid
         return text
 
     def stale(self) -> Sequence[tuple[str | int, ...]]:
@@ -70,29 +70,29 @@ class JsonLabels(ABC):
     def parse(self, data: bytes, path: Path, keys: Sequence[Key]) -> Mapping[Key, tuple[BoxLabel, ...]]:
         """Labels of the frames in the file's order."""
         placed = self.placed(data, path)
-        return {key: tuple(_labels([each for each in placed if self.of_frame(each, key)])) for key in keys}
+        return {key: tuple(_labels([entry for entry in placed if self.of_frame(entry, key)])) for key in keys}
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
         """The file with other labels in some frames."""
         text = self.empty() if data is None else data.decode("utf-8")
         placed = [] if data is None else self.placed(data, path)
         gone: list[tuple[str | int, ...]] = []
-        fresh: list[Cuboid] = []
-        for key, wanted in labels.items():
-            left = {label.id: label for label in wanted}
-            for number, place in enumerate([each for each in placed if self.of_frame(each, key)]):
+        added: list[Cuboid] = []
+        for key, new_labels in labels.items():
+            left = {label.id: label for label in new_labels}
+            for number, existing in enumerate([entry for entry in placed if self.of_frame(entry, key)]):
                 new = left.pop(str(number), None)
-                moves = new is not None and self.moves(place.cuboid, new)
+                moves = new is not None and self.moves(existing.cuboid, new)
                 if new is None or moves:
-                    gone.append(place.steps)
+                    gone.append(existing.steps)
                 if new is not None and moves:
-                    fresh.append(_cuboid(new, place.cuboid))
+                    added.append(_cuboid(new, existing.cuboid))
                 elif new is not None:
-                    text = self._changed(text, place, new)
-            fresh += [_cuboid(label, Cuboid(frame=key[1], label="", box=label.box)) for label in left.values()]
+                    text = self._changed(text, existing, new)
+            added += [_cuboid(label, Cuboid(frame=key[1], label="", box=label.box)) for label in left.values()]
         for steps in sorted(gone, reverse=True):
             text = remove(text, steps)
-        for cuboid in fresh:
+        for cuboid in added:
             text = self.with_new(self.prepared(text, None, cuboid), cuboid)
         return text.encode()
 
@@ -101,25 +101,25 @@ class JsonLabels(ABC):
         del old, new
         return False
 
-    def _changed(self, text: str, place: CuboidEntry, new: BoxLabel) -> str:
-        cuboid = _cuboid(new, place.cuboid)
-        if cuboid == place.cuboid:
+    def _changed(self, text: str, existing: CuboidEntry, new: BoxLabel) -> str:
+        cuboid = _cuboid(new, existing.cuboid)
+        if cuboid == existing.cuboid:
             return text
-        text = self.prepared(text, place, cuboid)
-        before, after = (self.values(each, text, place) for each in (place.cuboid, cuboid))
+        text = self.prepared(text, existing, cuboid)
+        before, after = (self.values(state, text, existing) for state in (existing.cuboid, cuboid))
         for steps, value in after.items():
             if steps not in before or before[steps] != value:
-                text = set_value(text, (*place.steps, *steps), value)
-        if cuboid.box != place.cuboid.box:
+                text = set_value(text, (*existing.steps, *steps), value)
+        if cuboid.box != existing.cuboid.box:
             for steps in self.stale():
-                text = remove(text, (*place.steps, *steps))
+                text = remove(text, (*existing.steps, *steps))
         return text
 
 
 def _labels(placed: Sequence[CuboidEntry]) -> list[BoxLabel]:
     return [
-        BoxLabel(id=str(number), label=one.label, box=one.box, track=one.track, attributes=one.attributes)
-        for number, one in enumerate(each.cuboid for each in placed)
+        BoxLabel(id=str(number), label=cuboid.label, box=cuboid.box, track=cuboid.track, attributes=cuboid.attributes)
+        for number, cuboid in enumerate(entry.cuboid for entry in placed)
     ]
 
 
@@ -168,9 +168,9 @@ class SustechLabels(JsonLabels):
         """An empty list."""
         return "[]\n"
 
-    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, existing: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size, yaw, class and track."""
-        del text, place
+        del text, existing
         return sustechpoints.values(cuboid)
 
     def with_new(self, text: str, cuboid: Cuboid) -> str:
@@ -203,16 +203,16 @@ class OpenLabels(JsonLabels):
         """A file without frames."""
         return openlabel.format_openlabel([], [])
 
-    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, existing: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """The numbers of ``val``, 9 or 10 as they stand."""
-        nine = place is not None and span(text, (*place.steps, "val", 9)) is None
+        nine = existing is not None and span(text, (*existing.steps, "val", 9)) is None
         return openlabel.values_of_nine(cuboid) if nine else openlabel.values(cuboid)
 
-    def prepared(self, text: str, place: CuboidEntry | None, cuboid: Cuboid) -> str:
+    def prepared(self, text: str, existing: CuboidEntry | None, cuboid: Cuboid) -> str:
         """The object's class."""
-        if place is None or place.cuboid.label == cuboid.label:
+        if existing is None or existing.cuboid.label == cuboid.label:
             return text
-        return openlabel.with_class(text, place.cuboid.track, cuboid.label)
+        return openlabel.with_class(text, existing.cuboid.track, cuboid.label)
 
     def with_new(self, text: str, cuboid: Cuboid) -> str:
         """A cuboid more."""
@@ -248,14 +248,14 @@ class DatumaroLabels(JsonLabels):
         """A file without items."""
         return datumaro.format_datumaro([], [])
 
-    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, existing: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size, yaw, class, track and attributes."""
-        del place
+        del existing
         return datumaro.values(cuboid, datumaro.class_names(json.loads(text.removeprefix("\ufeff")), self.folder))
 
-    def prepared(self, text: str, place: CuboidEntry | None, cuboid: Cuboid) -> str:
+    def prepared(self, text: str, existing: CuboidEntry | None, cuboid: Cuboid) -> str:
         """A class that the file does not know yet."""
-        del place
+        del existing
         return datumaro.with_class(text, cuboid.label)
 
     def with_new(self, text: str, cuboid: Cuboid) -> str:
@@ -295,16 +295,16 @@ class SuperviselyLabels(JsonLabels):
         """A file without objects."""
         return json.dumps({"description": "", "tags": [], "objects": [], "figures": []}, indent=1) + "\n"
 
-    def values(self, cuboid: Cuboid, text: str, place: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
+    def values(self, cuboid: Cuboid, text: str, existing: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size and yaw."""
-        del text, place
+        del text, existing
         return supervisely.values(cuboid)
 
-    def prepared(self, text: str, place: CuboidEntry | None, cuboid: Cuboid) -> str:
+    def prepared(self, text: str, existing: CuboidEntry | None, cuboid: Cuboid) -> str:
         """The object's class."""
-        if place is None or place.cuboid.label == cuboid.label:
+        if existing is None or existing.cuboid.label == cuboid.label:
             return text
-        return supervisely.with_class(text, place.cuboid.track, cuboid.label)
+        return supervisely.with_class(text, existing.cuboid.track, cuboid.label)
 
     def with_new(self, text: str, cuboid: Cuboid) -> str:
         """A figure more."""

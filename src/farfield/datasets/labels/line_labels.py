@@ -60,7 +60,7 @@ def replaced(
         same: Whether two labels (the file's and the new one) stand in the file alike.
         end: End of a line.
     """
-    left = {key: {label.id: label for label in wanted} for key, wanted in labels.items()}
+    left = {key: {label.id: label for label in new_labels} for key, new_labels in labels.items()}
     out: list[list[bytes]] = []
     last: dict[Key, int] = {}
     for part in parts:
@@ -136,11 +136,11 @@ class CsvLabels:
 
     def parse(self, data: bytes, path: Path, keys: Sequence[Key]) -> Mapping[Key, tuple[BoxLabel, ...]]:
         """Boxes of the frames in the file's order."""
-        found: dict[Key, list[BoxLabel]] = {key: [] for key in keys}
+        boxes: dict[Key, list[BoxLabel]] = {key: [] for key in keys}
         for part in _parts(data, path, keys)[1]:
             if part.key is not None and part.label is not None:
-                found[part.key].append(part.label)
-        return {key: tuple(labels) for key, labels in found.items()}
+                boxes[part.key].append(part.label)
+        return {key: tuple(labels) for key, labels in boxes.items()}
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
         """The file with other boxes in some frames; new ones stand behind those of their frame."""
@@ -158,7 +158,7 @@ def _parts(data: bytes, path: Path, keys: Sequence[Key]) -> tuple[list[str], lis
     lines = physical_lines(data)
     reader = csv.reader((line.removeprefix(_BOM).decode() for line in lines), strict=True)
     header = [name.strip() for name in next(reader)]
-    wanted = {key if "sequence" in header else ("", key[1]): key for key in keys}
+    key_of = {key if "sequence" in header else ("", key[1]): key for key in keys}
     begin, count = reader.line_num, dict.fromkeys(keys, 0)
     parts = [FileSpan(b"".join(lines[:begin]))]
     for cells in reader:
@@ -168,19 +168,19 @@ def _parts(data: bytes, path: Path, keys: Sequence[Key]) -> tuple[list[str], lis
             parts[-1] = parts[-1]._replace(raw=parts[-1].raw + raw)
             continue
         row = dict(zip(header, map(str.strip, cells), strict=True))
-        key = wanted.get((row.get("sequence", ""), row["frame"]))
+        key = key_of.get((row.get("sequence", ""), row["frame"]))
         parts.append(FileSpan(raw) if key is None else FileSpan(raw, key, _label(row, count[key])))
         if key is not None:
             count[key] += 1
     return header, parts
 
 
-def _label(row: Mapping[str, str], place: int) -> BoxLabel:
+def _label(row: Mapping[str, str], index: int) -> BoxLabel:
     x, y, z, length, width, height, yaw = (float(row[name]) for name in _PLACES)
     box: Numbers = (x, y, z, length, width, height, yaw)
     track, score = row.get("track_id", ""), row.get("score", "")
     return BoxLabel(
-        id=str(place),
+        id=str(index),
         label=row["label"],
         box=box,
         track="" if not track or float(track) < 0 else str(int(float(track))),
@@ -203,9 +203,9 @@ def _written(
     before = None if old is None else old.label
     if before is None or before.label != new.label:
         row["label"] = new.label
-    for place, name in enumerate(_PLACES):
-        if before is None or before.box[place] != new.box[place]:
-            row[name] = repr(float(new.box[place]))
+    for column, name in enumerate(_PLACES):
+        if before is None or before.box[column] != new.box[column]:
+            row[name] = repr(float(new.box[column]))
     if before is None or before.track != new.track:
         row["track_id"] = _track(new, header, path)
     text = io.StringIO()

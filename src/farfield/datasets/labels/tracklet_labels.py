@@ -83,51 +83,51 @@ class TrackletLabels:
 
     def parse(self, data: bytes, path: Path, keys: Sequence[Key]) -> Mapping[Key, tuple[BoxLabel, ...]]:
         """Labels of the frames, objects in the file's order."""
-        found: dict[str, list[Cuboid]] = {}
+        cuboids: dict[str, list[Cuboid]] = {}
         for cuboid in parse_tracklets(data, path):
-            found.setdefault(cuboid.frame, []).append(cuboid)
-        return {key: _labels(found.get(str(self.places[key][1]), ())) for key in keys}
+            cuboids.setdefault(cuboid.frame, []).append(cuboid)
+        return {key: _labels(cuboids.get(str(self.places[key][1]), ())) for key in keys}
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
         """The file with other labels in some frames."""
         before = _EMPTY if data is None else data
-        known = self.parse(before, path, list(labels))
-        if all(tuple(wanted) == known[key] for key, wanted in labels.items()):
+        old_labels = self.parse(before, path, list(labels))
+        if all(tuple(new_labels) == old_labels[key] for key, new_labels in labels.items()):
             return before
-        numbered = {self.places[key][1]: (known[key], wanted) for key, wanted in labels.items()}
+        numbered = {self.places[key][1]: (old_labels[key], new_labels) for key, new_labels in labels.items()}
         return _rendered(before, path, numbered)
 
 
 def _labels(cuboids: Sequence[Cuboid]) -> tuple[BoxLabel, ...]:
     return tuple(
-        BoxLabel(id=str(number), label=one.label, box=one.box, track=one.track, attributes=one.attributes)
-        for number, one in enumerate(cuboids)
+        BoxLabel(id=str(number), label=cuboid.label, box=cuboid.box, track=cuboid.track, attributes=cuboid.attributes)
+        for number, cuboid in enumerate(cuboids)
     )
 
 
 def _rendered(data: bytes, path: Path, frames: Mapping[int, tuple[Sequence[BoxLabel], Sequence[BoxLabel]]]) -> bytes:
     root = parse_spans(data, path)
-    (held,) = root.all("tracklets")
-    objects = [_object(data, span) for span in held.all("item")]
+    (tracklets,) = root.all("tracklets")
+    objects = [_object(data, span) for span in tracklets.all("item")]
     touched: set[int] = set()
     edits: list[Edit] = []
-    fresh: list[tuple[int, BoxLabel]] = []
-    for frame, (old, wanted) in sorted(frames.items()):
-        left = {label.id: label for label in wanted}
+    added: list[tuple[int, BoxLabel]] = []
+    for frame, (old, new_labels) in sorted(frames.items()):
+        left = {label.id: label for label in new_labels}
         for label in old:
             number = int(label.track)
             new = left.pop(label.id, None)
             if new is None or new.track != label.track:
                 del objects[number].poses[frame]
                 touched.add(number)
-                fresh += [] if new is None else [(frame, new)]
+                added += [] if new is None else [(frame, new)]
             else:
                 edits += _changes(objects[number], frame, label, new)
-        fresh += [(frame, label) for label in left.values()]
-    touched |= _joined(objects, fresh)
-    for one in objects:
-        edits += _of_all(one, path)
-    return _assembled(data, held, objects, touched, edits)
+        added += [(frame, label) for label in left.values()]
+    touched |= _joined(objects, added)
+    for tracklet in objects:
+        edits += _of_all(tracklet, path)
+    return _assembled(data, tracklets, objects, touched, edits)
 
 
 def _object(data: bytes, span: Span) -> _TrackletObject:
@@ -139,18 +139,18 @@ def _object(data: bytes, span: Span) -> _TrackletObject:
 
 
 def _texts(data: bytes, span: Span) -> dict[str, str]:
-    found = reversed([child for child in span.children if not child.children])
-    return {child.name: data[child.inner : child.close].decode().strip() for child in found}
+    leaves = reversed([child for child in span.children if not child.children])
+    return {child.name: data[child.inner : child.close].decode().strip() for child in leaves}
 
 
-def _changes(one: _TrackletObject, frame: int, old: BoxLabel, new: BoxLabel) -> Iterator[Edit]:
+def _changes(tracklet: _TrackletObject, frame: int, old: BoxLabel, new: BoxLabel) -> Iterator[Edit]:
     """Edits of one pose; class and size are noted for the whole object."""
-    box, pose = kept_numbers(old.box, new.box), one.poses[frame]
+    box, pose = kept_numbers(old.box, new.box), tracklet.poses[frame]
     assert pose is not None
     if new.label != old.label:
-        one.named.add(new.label)
+        tracklet.named.add(new.label)
     if box[3:6] != old.box[3:6]:
-        one.sized.add((box[3], box[4], box[5]))
+        tracklet.sized.add((box[3], box[4], box[5]))
     for name, before, after in zip(_PLACES, _place(old.box), _place(box), strict=True):
         if before != after:
             yield _text(pose, name, repr(after))
@@ -164,11 +164,11 @@ def _place(box: Numbers) -> tuple[float, float, float, float]:
 
 
 def _seen(label: BoxLabel) -> dict[str, float]:
-    found = {name: float(label.attributes[name]) for name in _SEEN if name in label.attributes}
-    for name, value in found.items():
+    values = {name: float(label.attributes[name]) for name in _SEEN if name in label.attributes}
+    for name, value in values.items():
         if value not in _SEEN[name]:
             raise ConfigError(f"a {label.label}: expected {name} of {_SEEN[name]}, got {value:g}")
-    return found
+    return values
 
 
 def _text(span: Span, name: str, text: str) -> Edit:
@@ -178,64 +178,66 @@ def _text(span: Span, name: str, text: str) -> Edit:
     return (child.inner, child.close, text.encode())
 
 
-def _joined(objects: list[_TrackletObject], fresh: Sequence[tuple[int, BoxLabel]]) -> set[int]:
+def _joined(objects: list[_TrackletObject], added: Sequence[tuple[int, BoxLabel]]) -> set[int]:
     """Put new boxes into the objects that they continue, or into new ones; which objects have others now."""
     touched: set[int] = set()
     begun: dict[tuple[str, str], int] = {}
-    for frame, label in fresh:
+    for frame, label in added:
         size = (label.box[3], label.box[4], label.box[5])
-        known = label.track.isdecimal() and int(label.track) < len(objects) and objects[int(label.track)].span
-        number = int(label.track) if known else begun.get((label.track, label.label), -1)
+        exists = label.track.isdecimal() and int(label.track) < len(objects) and objects[int(label.track)].span
+        number = int(label.track) if exists else begun.get((label.track, label.label), -1)
         if number < 0 or not label.track or frame in objects[number].poses or objects[number].label != label.label:
             number = begun[label.track, label.label] = len(objects)
             objects.append(_TrackletObject(None, label.label, size))
-        one = objects[number]
-        one.poses[frame], one.boxes[frame] = None, label
-        if size != one.size_m:
-            one.sized.add(size)
+        tracklet = objects[number]
+        tracklet.poses[frame], tracklet.boxes[frame] = None, label
+        if size != tracklet.size_m:
+            tracklet.sized.add(size)
         touched.add(number)
     return touched
 
 
-def _of_all(one: _TrackletObject, path: Path) -> Iterator[Edit]:
+def _of_all(tracklet: _TrackletObject, path: Path) -> Iterator[Edit]:
     """Edits of what an object has once: class and size."""
-    for what, values in (("class", one.named), ("size", one.sized)):
+    for what, values in (("class", tracklet.named), ("size", tracklet.sized)):
         if len(values) > 1:
             mend = "Lock its size (Ctrl+L), or give one of the boxes another track."
             raise ConfigError(f"{path}: an object has one {what} in all frames, got {sorted(values)}. {mend}")
-    if one.span is not None and one.named:
-        (named,) = one.named
-        yield _text(one.span, "objectType", escape(named))
-    if one.sized:
-        before, (after,) = one.size_m, one.sized
-        one.size_m = after
+    if tracklet.span is not None and tracklet.named:
+        (named,) = tracklet.named
+        yield _text(tracklet.span, "objectType", escape(named))
+    if tracklet.sized:
+        before, (after,) = tracklet.size_m, tracklet.sized
+        tracklet.size_m = after
         for name, old, new in zip("lwh", before, after, strict=True):
-            if one.span is not None and old != new:
-                yield _text(one.span, name, repr(float(new)))
+            if tracklet.span is not None and old != new:
+                yield _text(tracklet.span, name, repr(float(new)))
 
 
-def _assembled(data: bytes, held: Span, objects: list[_TrackletObject], touched: set[int], edits: list[Edit]) -> bytes:
+def _assembled(
+    data: bytes, tracklets: Span, objects: list[_TrackletObject], touched: set[int], edits: list[Edit]
+) -> bytes:
     """The file: objects whose frames stayed by their edits, the others anew around the bytes of their poses."""
     more: list[bytes] = []
-    kept = 0
-    whole = list(edits)
-    for number, one in enumerate(objects):
-        runs = list(_runs(one.poses)) if number in touched else []
-        if number in touched and one.span is not None:
-            inside = [each for each in edits if one.span.start <= each[0] < one.span.end]
-            whole = [each for each in whole if each not in inside]
-            begin = _blanks_before(data, one.span.start)
-            new = _with_poses(data, one, runs[0], inside) if runs else b""
-            whole.append((one.span.start if runs else begin, one.span.end, new))
-        kept += one.span is not None and (number not in touched or bool(runs))
-        later = runs[1:] if one.span is not None else runs
-        more += [_new_object(data, replace(one, span=None), run, edits) for run in later]
-    total = held.one("count")
-    if (total is not None and more) or (total is not None and kept != len(held.all("item"))):
-        whole.append((total.inner, total.close, b"%d" % (kept + len(more))))
-    end = _blanks_before(data, held.close)
-    whole.append((end, end, b"".join(b"\n\t" + each for each in more)))
-    return _named(edited(data, whole), data)
+    remaining = 0
+    all_edits = list(edits)
+    for number, tracklet in enumerate(objects):
+        runs = list(_runs(tracklet.poses)) if number in touched else []
+        if number in touched and tracklet.span is not None:
+            inside = [item for item in edits if tracklet.span.start <= item[0] < tracklet.span.end]
+            all_edits = [item for item in all_edits if item not in inside]
+            begin = _blanks_before(data, tracklet.span.start)
+            new = _with_poses(data, tracklet, runs[0], inside) if runs else b""
+            all_edits.append((tracklet.span.start if runs else begin, tracklet.span.end, new))
+        remaining += tracklet.span is not None and (number not in touched or bool(runs))
+        later = runs[1:] if tracklet.span is not None else runs
+        more += [_new_object(data, replace(tracklet, span=None), run, edits) for run in later]
+    total = tracklets.one("count")
+    if (total is not None and more) or (total is not None and remaining != len(tracklets.all("item"))):
+        all_edits.append((total.inner, total.close, b"%d" % (remaining + len(more))))
+    end = _blanks_before(data, tracklets.close)
+    all_edits.append((end, end, b"".join(b"\n\t" + item for item in more)))
+    return _named(edited(data, all_edits), data)
 
 
 def _runs(poses: Mapping[int, Span | None]) -> Iterator[list[int]]:
@@ -253,16 +255,16 @@ def _blanks_before(data: bytes, at: int) -> int:
     return len(data[:at].rstrip())
 
 
-def _with_poses(data: bytes, one: _TrackletObject, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
+def _with_poses(data: bytes, tracklet: _TrackletObject, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
     """An object's bytes with the poses of a run."""
-    span = one.span
+    span = tracklet.span
     assert span is not None
     group = span.one("poses")
     assert group is not None
     items = group.all("item")
     begin = _blanks_before(data, items[0].start) if items else _blanks_before(data, group.close)
-    changes = [each for each in edits if not group.start <= each[0] < group.end]
-    poses = b"".join(b"\n\t\t\t" + _pose(data, one, frame, edits) for frame in run)
+    changes = [edit for edit in edits if not group.start <= edit[0] < group.end]
+    poses = b"".join(b"\n\t\t\t" + _pose(data, tracklet, frame, edits) for frame in run)
     changes.append((begin, items[-1].end if items else begin, poses))
     count = group.one("count")
     if count is not None:
@@ -272,44 +274,48 @@ def _with_poses(data: bytes, one: _TrackletObject, run: Sequence[int], edits: Se
     return edited(data, changes, span.start, span.end)
 
 
-def _pose(data: bytes, one: _TrackletObject, frame: int, edits: Sequence[Edit]) -> bytes:
-    span = one.poses[frame]
+def _pose(data: bytes, tracklet: _TrackletObject, frame: int, edits: Sequence[Edit]) -> bytes:
+    span = tracklet.poses[frame]
     if span is not None:
         return edited(data, edits, span.start, span.end)
-    label = one.boxes[frame]
+    label = tracklet.boxes[frame]
     x, y, bottom, yaw = map(repr, map(float, _place(label.box)))
-    seen = {"occlusion": -1.0, "truncation": 99.0} | _seen(label)
+    attributes = {"occlusion": -1.0, "truncation": 99.0} | _seen(label)
     values = {"tx": x, "ty": y, "tz": bottom, "rx": "0", "ry": "0", "rz": yaw, "state": "2"}
-    values |= {"occlusion": f"{seen['occlusion']:g}", "occlusion_kf": "1", "truncation": f"{seen['truncation']:g}"}
+    values |= {
+        "occlusion": f"{attributes['occlusion']:g}",
+        "occlusion_kf": "1",
+        "truncation": f"{attributes['truncation']:g}",
+    }
     values |= {"amt_occlusion": "0", "amt_occlusion_kf": "1", "amt_border_l": "0", "amt_border_r": "0"}
     lines = "".join(f"\n\t\t\t\t<{name}>{text}</{name}>" for name, text in {**values, "amt_border_kf": "1"}.items())
     return f"<item>{lines}\n\t\t\t</item>".encode()
 
 
-def _new_object(data: bytes, one: _TrackletObject, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
-    length, width, height = map(repr, map(float, one.size_m))
-    label = escape(next(iter(one.named), one.label))
+def _new_object(data: bytes, tracklet: _TrackletObject, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
+    length, width, height = map(repr, map(float, tracklet.size_m))
+    label = escape(next(iter(tracklet.named), tracklet.label))
     head = {"objectType": label, "h": height, "w": width, "l": length, "first_frame": str(run[0])}
     lines = "".join(f"\n\t\t<{name}>{text}</{name}>" for name, text in head.items())
-    poses = b"".join(b"\n\t\t\t" + _pose(data, one, frame, edits) for frame in run)
+    poses = b"".join(b"\n\t\t\t" + _pose(data, tracklet, frame, edits) for frame in run)
     counts = f"\n\t\t<poses>\n\t\t\t<count>{len(run)}</count>\n\t\t\t<item_version>2</item_version>"
     return f"<item>{lines}{counts}".encode() + poses + b"\n\t\t</poses>\n\t\t<finished>1</finished>\n\t</item>"
 
 
 def _named(data: bytes, before: bytes) -> bytes:
     """The file in which the first object, list of poses and pose name their kinds, where they did before."""
-    (held,) = parse_spans(data, "").all("tracklets")
-    objects = held.all("item")
-    groups = [group for one in objects for group in one.all("poses")]
+    (tracklets,) = parse_spans(data, "").all("tracklets")
+    objects = tracklets.all("item")
+    groups = [group for item in objects for group in item.all("poses")]
     poses = [pose for group in groups for pose in group.all("item")]
     edits: list[Edit] = []
     for tag, spans in zip(_TAGS, (objects, groups, poses), strict=True):
         if tag not in before and before != _EMPTY:
             continue
         plain = b"<%s>" % tag[1:].split()[0]
-        for place, span in enumerate(spans):
-            wanted = tag if place == 0 else plain
+        for position, span in enumerate(spans):
+            new_tag = tag if position == 0 else plain
             present = data[span.start : span.inner]
-            if present in (tag, plain) and present != wanted:
-                edits.append((span.start, span.inner, wanted))
+            if present in (tag, plain) and present != new_tag:
+                edits.append((span.start, span.inner, new_tag))
     return edited(data, edits)

@@ -77,14 +77,14 @@ class LabelsAt:
 
 def _recent(time_ns: int, earlier: Earlier) -> tuple[Frame, ...]:
     """The frame before, where it is near enough, and those before it within the span."""
-    found: list[Frame] = []
+    frames: list[Frame] = []
     for k in range(1, MOST_BEFORE + 1):
         frame = earlier(k)
-        longest_s = SPAN_S if found else LONGEST_GAP_S
+        longest_s = SPAN_S if frames else LONGEST_GAP_S
         if frame is None or frame.time_ns is None or not 0 < (time_ns - frame.time_ns) / 1e9 <= longest_s:
             break
-        found.append(frame)
-    return tuple(found)
+        frames.append(frame)
+    return tuple(frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,14 +132,16 @@ def velocities(boxes: Boxes, frame: Frame, before: Sequence[Frame]) -> Float[np.
         DatasetError: If the boxes tell no velocity, and there are no identities or poses to find it by.
     """
     if boxes.velocity_m_s is not None and np.isfinite(boxes.velocity_m_s).any():
-        flat = np.zeros((len(boxes), 3 - boxes.velocity_m_s.shape[1]))
-        return np.concatenate([boxes.velocity_m_s, flat], axis=1)
-    known = [other for other in before if other.has_annotation]
-    for other in known:
+        zeros = np.zeros((len(boxes), 3 - boxes.velocity_m_s.shape[1]))
+        return np.concatenate([boxes.velocity_m_s, zeros], axis=1)
+    annotated = [other for other in before if other.has_annotation]
+    for other in annotated:
         _check(boxes, frame, other)
     tracks = [-1] * len(boxes) if boxes.track_id is None else boxes.track_id.tolist()
-    seen = [_seen(frame, other) for other in known]
-    return np.array([_velocity(tracks[row], boxes.centre_m[row], seen) for row in range(len(boxes))]).reshape(-1, 3)
+    observations = [_seen(frame, other) for other in annotated]
+    return np.array([_velocity(tracks[row], boxes.centre_m[row], observations) for row in range(len(boxes))]).reshape(
+        -1, 3
+    )
 
 
 Seen = tuple[float, dict[int, Float[np.ndarray, " 3"]]]
@@ -154,19 +156,19 @@ def _seen(frame: Frame, before: Frame) -> Seen:
     assert before.time_ns is not None
     assert frame.world_T_frame is not None
     assert before.world_T_frame is not None
-    place = transform_points(invert(frame.world_T_frame) @ before.world_T_frame, then.boxes.centre_m)
-    rows = {int(track): place[row] for row, track in enumerate(then.boxes.track_id) if track >= 0}
+    centres_m = transform_points(invert(frame.world_T_frame) @ before.world_T_frame, then.boxes.centre_m)
+    rows = {int(track): centres_m[row] for row, track in enumerate(then.boxes.track_id) if track >= 0}
     return (frame.time_ns - before.time_ns) / 1e9, rows
 
 
-def _velocity(track: int, centre_m: Float[np.ndarray, " 3"], seen: Sequence[Seen]) -> Float[np.ndarray, " 3"]:
+def _velocity(track: int, centre_m: Float[np.ndarray, " 3"], observations: Sequence[Seen]) -> Float[np.ndarray, " 3"]:
     """Slope of the straight line through an identity's places; NaN where there is one place only, or it jumps."""
-    pairs = [(0.0, centre_m), *((-ago_s, places[track]) for ago_s, places in seen if track in places)]
+    pairs = [(0.0, centre_m), *((-ago_s, centres[track]) for ago_s, centres in observations if track in centres)]
     if len(pairs) < 2:
         return np.full(3, np.nan)
-    time_s, place = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+    time_s, centre = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
     time_s = time_s - time_s.mean()
-    velocity = time_s @ (place - place.mean(axis=0)) / (time_s @ time_s)
+    velocity = time_s @ (centre - centre.mean(axis=0)) / (time_s @ time_s)
     return np.asarray(velocity if np.linalg.norm(velocity) <= FASTEST_M_S else np.full(3, np.nan))
 
 
@@ -213,7 +215,7 @@ class WholeBodies:
         if "whole_bodies" not in dataset.view_options:
             return False
         annotated = (dataset.annotation(index) for index in range(len(dataset)) if dataset.has_annotation(index))
-        first = next((each for each in annotated if each is not None and len(each)), None)
+        first = next((annotation for annotation in annotated if annotation is not None and len(annotation)), None)
         return first is not None and first.full_boxes is not None
 
     def moved_poses(self, world_T_frame: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:

@@ -98,10 +98,10 @@ class CommonRadar:
             raise DatasetError(
                 f"common_radar: expected a cloud {self.cloud!r}; frame {frame.key} has {list(frame.clouds)}"
             )
-        seen = partial(self._seen, frame)
+        load = partial(self._seen, frame)
         return replace(
             frame,
-            clouds=Lazy({name: seen if name == self.cloud else partial(_of, frame, name) for name in frame.clouds}),
+            clouds=Lazy({name: load if name == self.cloud else partial(_of, frame, name) for name in frame.clouds}),
         )
 
     def _seen(self, frame: Frame) -> Cloud:
@@ -120,15 +120,19 @@ class CommonRadar:
         value = np.clip((power - np.array(self.floor_db)[rows]) / UNIT_DB, *LIMITS).astype(np.float32)
         points = cloud.points_m.astype(np.float32)
         points = points if self.height else points * np.array([1, 1, 0], dtype=np.float32)
-        known = self.doppler and not _drawn(key, float(self.drop_doppler))
-        doppler = cloud.column("doppler_m_s") if known else np.zeros(len(points), dtype=np.float32)
-        kept = np.arange(len(points)) if self.cell_m is None else strongest(points, value, float(self.cell_m))
+        has_doppler = self.doppler and not _drawn(key, float(self.drop_doppler))
+        doppler = cloud.column("doppler_m_s") if has_doppler else np.zeros(len(points), dtype=np.float32)
+        selected = np.arange(len(points)) if self.cell_m is None else strongest(points, value, float(self.cell_m))
         flags = {
-            name: np.full(len(kept), float(on), dtype=np.float32)
-            for name, on in zip(FLAGS, (known, self.height), strict=True)
+            name: np.full(len(selected), float(on), dtype=np.float32)
+            for name, on in zip(FLAGS, (has_doppler, self.height), strict=True)
         }
-        columns = {"power": value[kept], "doppler_m_s": np.nan_to_num(doppler[kept]).astype(np.float32), **flags}
-        return Cloud(points[kept], None, columns)
+        columns = {
+            "power": value[selected],
+            "doppler_m_s": np.nan_to_num(doppler[selected]).astype(np.float32),
+            **flags,
+        }
+        return Cloud(points[selected], None, columns)
 
     def decibels(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
         """A cloud's power in decibels, of a scale of its own, shape (n,)."""
@@ -150,23 +154,23 @@ class CommonRadar:
         Raises:
             ConfigError: If they hold hardly any point.
         """
-        found: list[list[Float[np.ndarray, " k"]]] = [[] for _ in range(round(float(reach_m) / BIN_M))]
+        power_by_bin: list[list[Float[np.ndarray, " k"]]] = [[] for _ in range(round(float(reach_m) / BIN_M))]
         for frame in frames:
             cloud = frame.clouds[self.cloud]
             power = self.decibels(cloud)
             rows = (np.linalg.norm(cloud.points_m, axis=1) / BIN_M).astype(np.int64)
-            for row in np.unique(rows[rows < len(found)]):
-                found[row].append(power[rows == row])
-        values = [np.concatenate(each) if each else np.zeros(0) for each in found]
-        known = np.array([row for row, each in enumerate(values) if len(each) >= _FEWEST])
-        if not len(known):
+            for row in np.unique(rows[rows < len(power_by_bin)]):
+                power_by_bin[row].append(power[rows == row])
+        values = [np.concatenate(values_db) if values_db else np.zeros(0) for values_db in power_by_bin]
+        bins = np.array([row for row, values_db in enumerate(values) if len(values_db) >= _FEWEST])
+        if not len(bins):
             raise ConfigError(
                 f"common_radar: expected at least {_FEWEST} points in some {BIN_M:g} m of range, got none"
             )
-        middle = np.array([np.median(values[row]) for row in known])
-        spread = np.array([np.median(np.abs(values[row] - m)) for row, m in zip(known, middle, strict=True)])
+        middle = np.array([np.median(values[row]) for row in bins])
+        spread = np.array([np.median(np.abs(values[row] - m)) for row, m in zip(bins, middle, strict=True)])
         every = np.arange(len(values))
-        floor, beside = (np.interp(every, known, each).round(3) for each in (middle, spread))
+        floor, beside = (np.interp(every, bins, values_db).round(3) for values_db in (middle, spread))
         return replace(self, floor_db=tuple(map(float, floor)), spread_db=tuple(map(float, beside)))
 
 
@@ -177,8 +181,8 @@ def strongest(
     cell = np.floor(points_m / cell_m).astype(np.int64)
     cell -= cell.min(axis=0, initial=0)
     along_x, along_y, along_z = cell.T
-    _, wide, high = cell.max(axis=0, initial=0) + 1
-    number = (along_x * wide + along_y) * high + along_z
+    _, width, height = cell.max(axis=0, initial=0) + 1
+    number = (along_x * width + along_y) * height + along_z
     order = np.lexsort((-value, number))
     return np.sort(order[np.unique(number[order], return_index=True)[1]])
 

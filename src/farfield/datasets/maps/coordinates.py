@@ -120,11 +120,17 @@ class Coordinates:
         if frame.reference == self.reference:
             return frame
         target_T_frame = invert(_frame_T_sensor(frame, self.reference))
-        seen = transform_frame(frame, target_T_frame, reference=self.reference)
+        transformed = transform_frame(frame, target_T_frame, reference=self.reference)
         placed = {name: frame.clouds.loader(name) for name in frame.clouds} if isinstance(frame.clouds, Lazy) else {}
-        once = {name: one.moved(target_T_frame) for name, one in placed.items() if isinstance(one, TransformedCloud)}
-        rest: dict[str, Callable[[], Any]] = {name: partial(item, seen.clouds, name) for name in seen.clouds}
-        return replace(seen, clouds=Lazy(rest | once))
+        once = {
+            name: loader.moved(target_T_frame)
+            for name, loader in placed.items()
+            if isinstance(loader, TransformedCloud)
+        }
+        rest: dict[str, Callable[[], Any]] = {
+            name: partial(item, transformed.clouds, name) for name in transformed.clouds
+        }
+        return replace(transformed, clouds=Lazy(rest | once))
 
 
 def item(clouds: Mapping[str, Cloud], name: str) -> Cloud:
@@ -135,9 +141,11 @@ def item(clouds: Mapping[str, Cloud], name: str) -> Cloud:
 def _frame_T_sensor(frame: Frame, name: str) -> Pose:
     sensor = frame.sensors.get(name)
     if sensor is None or sensor.frame_T_sensor is None:
-        known = ", ".join(name for name, one in frame.sensors.items() if one.frame_T_sensor is not None) or "no sensor"
+        with_pose = (
+            ", ".join(name for name, other in frame.sensors.items() if other.frame_T_sensor is not None) or "no sensor"
+        )
         raise ConfigError(
-            f"coordinates: expected frame {frame.key} to know where its sensor {name!r} stands; it knows {known}."
+            f"coordinates: expected frame {frame.key} to know where its sensor {name!r} stands; it knows {with_pose}."
         )
     return sensor.frame_T_sensor
 

@@ -72,8 +72,8 @@ class Sweeps:
         if self.count == 1:
             return frame
         present = _checked(frame)
-        found = (earlier(k) for k in range(1, self.count))
-        before = tuple(_checked(other) for other in found if other is not None)
+        frames = (earlier(k) for k in range(1, self.count))
+        before = tuple(_checked(other) for other in frames if other is not None)
         return replace(present, clouds=Lazy({name: StackedCloud(present, before, name) for name in present.clouds}))
 
 
@@ -181,8 +181,8 @@ class Posed:
     def poses_of(self, keys: Sequence[Key]) -> Float[np.ndarray, "n 4 4"] | None:
         """Poses of the frames of a drive; None where one is not known."""
         rows = [self._by_key.get(key) for key in keys]
-        known = [table.world_T_frame[row] for found in rows if found is not None for table, row in (found,)]
-        return np.stack(known) if known and len(known) == len(keys) else None
+        poses = [table.world_T_frame[row] for entry in rows if entry is not None for table, row in (entry,)]
+        return np.stack(poses) if poses and len(poses) == len(keys) else None
 
     def moved_poses(self, world_T_frame: Float[np.ndarray, "n 4 4"]) -> None:
         """The drives' own poses are not those of the files."""
@@ -191,10 +191,10 @@ class Posed:
     def __call__(self, frame: Frame, earlier: Earlier) -> Frame:
         """The frame with its pose."""
         del earlier
-        found = self._by_key.get(frame.key)
-        if found is None:
+        entry = self._by_key.get(frame.key)
+        if entry is None:
             return replace(frame, world_T_frame=None)
-        table, row = found
+        table, row = entry
         if table.reference != frame.reference:
             raise ConfigError(
                 f"{self.poses}: expected poses of {frame.reference}, in whose coordinates frame {frame.key} stands; "

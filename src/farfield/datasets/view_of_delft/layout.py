@@ -79,8 +79,8 @@ def is_view_of_delft(root: Path) -> bool:
 
 
 def _tree(folder: Path, part: str) -> Path | None:
-    places = (folder / part, folder)
-    return next((place for place in places if _first(place / "velodyne", "*.bin")), None)
+    folders = (folder / part, folder)
+    return next((candidate for candidate in folders if _first(candidate / "velodyne", "*.bin")), None)
 
 
 def _cloud_of(root: Path, tree: Path) -> str:

@@ -114,13 +114,13 @@ class ViewOfDelft(Dataset):
         reference: Reference | None = None,
         nominal_times: bool = False,
     ) -> None:
-        for option, value, known in (
+        for option, value, choices in (
             ("part", part, PARTS),
             ("classes", classes, ("cirrus", "kitti")),
             ("reference", reference, (None, "lidar", "radar")),
         ):
-            if value not in known:
-                raise ConfigError(f"view_of_delft: expected {option} to be one of {known}, got {value!r}")
+            if value not in choices:
+                raise ConfigError(f"view_of_delft: expected {option} to be one of {choices}, got {value!r}")
         self.root, self.classes, self.nominal_times = Path(root), classes, nominal_times
         self.trees = find_trees(self.root, part)
         if not self.trees:
@@ -139,8 +139,8 @@ class ViewOfDelft(Dataset):
     def _time_ns(self, index: int) -> int | None:
         """Time since the data set's frame 0 at the nominal rate, if that was asked for."""
         stem = self.frame_ids[index]
-        known = self.nominal_times and stem.isascii() and stem.isdigit()
-        return round(int(stem) * 1e9 / RADAR_RATE_HZ) if known else None
+        is_number = self.nominal_times and stem.isascii() and stem.isdigit()
+        return round(int(stem) * 1e9 / RADAR_RATE_HZ) if is_number else None
 
     def _times_of(self, indices: Indices) -> Indices | None:
         return all_known(self._time_ns(int(index)) for index in indices)
@@ -153,14 +153,14 @@ class ViewOfDelft(Dataset):
         """Use ``ImageSets/{train,val,test}.txt`` where they are, or else the documented part of each clip."""
         if (self.root / self.split_file).is_file():
             return super().split_parts()
-        places = [folder / "ImageSets" for tree in self.trees.values() for folder in (tree.parent, tree)]
-        for place in [self.root / "ImageSets", *places]:
-            lists = {name: place / f"{name}.txt" for name in SPLIT_SHARES}
-            found = {
+        folders = [folder / "ImageSets" for tree in self.trees.values() for folder in (tree.parent, tree)]
+        for list_folder in [self.root / "ImageSets", *folders]:
+            lists = {name: list_folder / f"{name}.txt" for name in SPLIT_SHARES}
+            texts = {
                 name: read_bytes(path).decode("ascii", "replace") for name, path in lists.items() if path.is_file()
             }
-            if found:
-                return {name: text.split() for name, text in found.items()}
+            if texts:
+                return {name: text.split() for name, text in texts.items()}
         parts: dict[str, list[str]] = {name: [] for name in SPLIT_SHARES}
         for frame_id, clip in zip(self.frame_ids, self.sequences, strict=True):
             if clip in CLIPS:
@@ -192,7 +192,7 @@ class ViewOfDelft(Dataset):
         calib = rig.calib.get(rig.reference)
         cameras = {} if calib is None else {"camera": sized_camera(calib, image, size_px=IMAGE_PX)}
         world_T_camera = {} if pose is None else read_camera_poses(pose)
-        known = "odom" in world_T_camera and rig.reference in rig.camera_T
+        posed = "odom" in world_T_camera and rig.reference in rig.camera_T
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
@@ -202,17 +202,17 @@ class ViewOfDelft(Dataset):
             cameras=cameras,
             sensors=_sensors(rig, clouds, cameras, image is not None),
             load_annotation=self._labels(index, rig, cameras.get("camera")),
-            world_T_frame=world_T_camera["odom"] @ rig.camera_T[rig.reference] if known else None,
+            world_T_frame=world_T_camera["odom"] @ rig.camera_T[rig.reference] if posed else None,
             reference=self.reference,
             metadata=Lazy(self._metadata(index, world_T_camera)),
         )
 
     def _metadata(self, index: int, world_T_camera: Mapping[str, np.ndarray]) -> dict[str, Callable[[], Any]]:
-        known: dict[str, Callable[[], Any]] = {"files": Constant([str(path) for path in self.files(index)])}
+        loaders: dict[str, Callable[[], Any]] = {"files": Constant([str(path) for path in self.files(index)])}
         if self.frame_ids[index] in self._clouds.get("radar", ()):
             path = self._clouds["radar"][self.frame_ids[index]]
-            known["radar_velocity_m_s"] = partial(_velocity, path)
-        return known | ({"world_T_camera": Constant(world_T_camera)} if world_T_camera else {})
+            loaders["radar_velocity_m_s"] = partial(_velocity, path)
+        return loaders | ({"world_T_camera": Constant(world_T_camera)} if world_T_camera else {})
 
     def _rig(self, index: int) -> _Rig:
         calib: dict[Reference, Mapping[str, np.ndarray]] = {}
@@ -269,15 +269,15 @@ def _sensor(cloud: str) -> Reference:
 
 def _sensors(rig: _Rig, clouds: Collection[str], cameras: Mapping[str, Camera], pictured: bool) -> dict[str, Sensor]:
     """Where the sensors stand in the reference's coordinates, in which all clouds are."""
-    places = {name: rig.reference_T(name) for name in rig.camera_T} if rig.reference in rig.camera_T else {}
-    places[rig.reference] = np.eye(4)
-    known = {
-        name: Sensor(kind=_sensor(name), frame_T_sensor=places.get(_sensor(name)), holds=_HOLDS.get(name, ()))
-        for name in dict.fromkeys([*clouds, *places])
+    poses = {name: rig.reference_T(name) for name in rig.camera_T} if rig.reference in rig.camera_T else {}
+    poses[rig.reference] = np.eye(4)
+    sensors = {
+        name: Sensor(kind=_sensor(name), frame_T_sensor=poses.get(_sensor(name)), holds=_HOLDS.get(name, ()))
+        for name in dict.fromkeys([*clouds, *poses])
     }
     if cameras or pictured:
-        known["camera"] = camera_sensor(cameras.get("camera"))
-    return known
+        sensors["camera"] = camera_sensor(cameras.get("camera"))
+    return sensors
 
 
 def _velocity(path: Path) -> Float[np.ndarray, " 3"] | None:
@@ -367,9 +367,9 @@ def boxes_from_labels(
         camera_T_sensor: Radar (or lidar) to camera coordinates.
         classes: ``"cirrus"`` translates class names (unknown ones become ``unknown``), ``"kitti"`` keeps them.
     """
-    kept = objects[objects.has_box]
-    centre, size, yaw = upright_from_camera(kept.bottom_m, kept.size_m, kept.rotation_y_rad, camera_T_sensor)
-    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=_class_names(kept.type.tolist(), classes))
+    boxed = objects[objects.has_box]
+    centre, size, yaw = upright_from_camera(boxed.bottom_m, boxed.size_m, boxed.rotation_y_rad, camera_T_sensor)
+    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=_class_names(boxed.type.tolist(), classes))
 
 
 def boxes_from_objects(objects: DelftObjects, *, classes: str = "cirrus") -> Boxes:
