@@ -16,13 +16,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
-from farfield.errors import ConfigError
-from farfield.errors import DatasetError
-from farfield.errors import FileFormatError
-from farfield.geometry.boxes import Boxes
-from farfield.geometry.boxes import points_in_boxes
+from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.poses import transform_points
-from farfield.registry import display_html, named
+from farfield.registry import display_html
 
 _PLACE = ("x_m", "y_m", "z_m")
 RADAR_COLUMNS = ("power", "doppler", "rcs")
