@@ -9,7 +9,7 @@ import numpy as np
 from _gestures import Subject, pressed
 from _studio_screen import Screen
 
-from farfield.studio.showing.classes import our_class
+from farfield.studio.showing.rows import our_class
 
 DRAG_M = {True: 3.0, False: 1.5}  # vehicles, and what is small
 _PIXELS_A_METRE = {True: 24.0, False: 60.0}

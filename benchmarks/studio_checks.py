@@ -23,7 +23,6 @@ import numpy as np
 from _report import header
 from _studio_table import Table
 
-from farfield.annotation.angles import wrapped
 from farfield.annotation.checking import (
     CHECKS,
     CheckedFrame,
@@ -32,14 +31,13 @@ from farfield.annotation.checking import (
     LabelIssue,
     NearbyTrack,
     SizeRange,
-    Surroundings,
     TrackStep,
     check,
-    size_ranges,
 )
-from farfield.annotation.checking.scene import in_box_axes
-from farfield.annotation.motion import TrackFrame, to_world
+from farfield.annotation.findings import size_ranges
+from farfield.annotation.motion import TrackFrame, to_world, wrapped
 from farfield.annotation.schema import fastest
+from farfield.annotation.surroundings import Surroundings, in_box_axes
 from farfield.datasets.labels import BoxLabel
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes

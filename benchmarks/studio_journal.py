@@ -27,10 +27,9 @@ from pathlib import Path
 from _report import header
 from _studio_table import Table
 
-from farfield.annotation.box_edits import set_box
+from farfield.annotation.edits import set_box
 from farfield.annotation.schema import schema_of
-from farfield.annotation.store import Author, Store
-from farfield.annotation.undoing import undo
+from farfield.annotation.store import Author, Store, undo
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import Record, journal_folder
 from farfield.datasets.labels import CsvLabels

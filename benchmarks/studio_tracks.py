@@ -22,11 +22,10 @@ import numpy as np
 from _report import SHARED_REAL, header
 from _studio_table import Table
 
-from farfield.annotation.box_edits import add_box
+from farfield.annotation.edits import add_box, boxes_of, interpolate_track, moments
 from farfield.annotation.motion import TrackFrame, between
 from farfield.annotation.schema import schema_of
 from farfield.annotation.store import Author, Store
-from farfield.annotation.track_edits import boxes_of, interpolate_track, moments
 from farfield.datasets.edits import journal_folder
 from farfield.datasets.kradar.label_format import KRadarLabelFormat
 from farfield.datasets.kradar.reader import KRadar

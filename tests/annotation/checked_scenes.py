@@ -6,17 +6,9 @@ from dataclasses import replace
 import numpy as np
 from edited_drives import pose
 
-from farfield.annotation.angles import wrapped
-from farfield.annotation.checking import (
-    CheckedFrame,
-    CheckSettings,
-    DetectorBox,
-    NearbyTrack,
-    SizeRange,
-    Surroundings,
-    TrackStep,
-)
-from farfield.annotation.motion import TrackFrame, from_world, to_world
+from farfield.annotation.checking import CheckedFrame, CheckSettings, DetectorBox, NearbyTrack, SizeRange, TrackStep
+from farfield.annotation.motion import TrackFrame, from_world, to_world, wrapped
+from farfield.annotation.surroundings import Surroundings
 from farfield.datasets.labels import BoxLabel, Numbers
 
 FRAMES, LIDAR_M = 12, 1.8

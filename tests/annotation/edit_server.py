@@ -15,7 +15,7 @@ from pathlib import Path
 
 from edited_drives import ANN, opened
 
-from farfield.annotation.box_edits import set_box
+from farfield.annotation.edits import set_box
 from farfield.datasets.edits import Record
 
 _OUT = threading.Lock()

@@ -16,10 +16,10 @@ from farfield.annotation.checking import (
     NearbyTrack,
     SensorView,
     SizeRange,
-    Surroundings,
     TrackStep,
     check,
 )
+from farfield.annotation.surroundings import Surroundings
 from farfield.datasets.labels import BoxLabel
 
 KEY = ("a", "0005")

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from edited_drives import ANN
 
-from farfield.annotation.box_edits import add_box, delete_box, set_box
+from farfield.annotation.edits import add_box, delete_box, set_box
 from farfield.annotation.notes import declare_extent
 from farfield.annotation.saving import save_in_place
 from farfield.annotation.schema import schema_of
-from farfield.annotation.store import Store
-from farfield.annotation.undoing import undo
+from farfield.annotation.store import Store, undo
 from farfield.datasets import maps
 from farfield.datasets.edits import Edited, journal_folder
 from farfield.datasets.kradar.label_format import KRadarLabelFormat

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from edited_drives import ANN, CAR, EVE, opened
 
-from farfield.annotation.box_edits import delete_box, set_box
-from farfield.annotation.checking import Surroundings
+from farfield.annotation.edits import delete_box, set_box
 from farfield.annotation.errors import RefusedError
 from farfield.annotation.findings import all_findings, findings, settings_of
 from farfield.annotation.notes import (
@@ -22,6 +21,7 @@ from farfield.annotation.notes import (
     worked,
 )
 from farfield.annotation.store import Store
+from farfield.annotation.surroundings import Surroundings
 
 
 def _key(row: int) -> tuple[str, str]:

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from edited_drives import ANN, CAR, EVE, opened, state_bytes
 
-from farfield.annotation.box_edits import add_box, delete_box, set_box
+from farfield.annotation.edits import add_box, delete_box, set_box, set_track
 from farfield.annotation.errors import ConflictError, RefusedError
-from farfield.annotation.store import Author, Store
-from farfield.annotation.track_edits import set_track
-from farfield.annotation.undoing import redo, undo
+from farfield.annotation.store import Author, Store, redo, undo
 from farfield.datasets.edits import EditState, Record, read_journal
 
 A = ("a", "0000")

@@ -118,7 +118,7 @@ def test_a_second_process_is_refused_with_the_first_ones_number(tmp_path: Path) 
 def test_a_network_file_system_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mounts = tmp_path / "mounts"
     mounts.write_text(f"/dev/a / ext4 rw 0 0\nhost:/x {tmp_path.resolve()}/far\\040away nfs4 rw 0 0\n")
-    monkeypatch.setattr("farfield.annotation.locking.MOUNTS", mounts)
+    monkeypatch.setattr("farfield.annotation.journal.MOUNTS", mounts)
     EditJournal(tmp_path / "near", _ignored).close()
     with pytest.warns(UserWarning, match="nfs4"):
         EditJournal(tmp_path / "far away", _ignored).close()

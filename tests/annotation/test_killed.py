@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from edited_drives import ANN, default_rows, opened, state_bytes
 
-from farfield.annotation.undoing import undo
+from farfield.annotation.store import undo
 from farfield.datasets.edits import Record
 
 SERVER = Path(__file__).with_name("edit_server.py")

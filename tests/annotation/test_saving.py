@@ -8,10 +8,9 @@ import pytest
 from edited_drives import ANN, CAR, Drives, opened, schema, state_bytes
 
 from farfield.annotation import saving
-from farfield.annotation.box_edits import add_box, delete_box, set_box
+from farfield.annotation.edits import add_box, delete_box, set_box
 from farfield.annotation.saving import export_labels, save_copy, save_in_place, save_place
-from farfield.annotation.store import Store
-from farfield.annotation.undoing import undo
+from farfield.annotation.store import Store, undo
 from farfield.datasets.edits import journal_folder
 from farfield.datasets.labels import CsvLabels
 from farfield.errors import ConfigError, DatasetError

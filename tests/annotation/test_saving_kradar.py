@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from edited_drives import ANN
 
-from farfield.annotation.box_edits import set_box
+from farfield.annotation.edits import set_box
 from farfield.annotation.saving import save_copy, save_in_place
 from farfield.annotation.schema import schema_of
-from farfield.annotation.store import Store
-from farfield.annotation.undoing import undo
+from farfield.annotation.store import Store, undo
 from farfield.datasets.edits import journal_folder
 from farfield.datasets.kradar.label_format import KRadarLabelFormat
 from farfield.datasets.kradar.reader import KRadar

@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 from edited_drives import ANN, CAR, EVE, opened, state_bytes
 
-from farfield.annotation.box_edits import add_box, delete_box, set_box
+from farfield.annotation.edits import add_box, delete_box, set_box
 from farfield.annotation.errors import ConflictError, RefusedError
-from farfield.annotation.store import Author, EditResult, Store
-from farfield.annotation.undoing import keep, redo, undo
+from farfield.annotation.store import Author, EditResult, Store, keep, redo, undo
 from farfield.datasets.edits import box_cell
 from farfield.errors import DatasetError
 

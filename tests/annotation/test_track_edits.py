@@ -7,21 +7,22 @@ from typing import Any
 import pytest
 from edited_drives import ANN, CAR, EVE, opened, state_bytes
 
-from farfield.annotation.box_edits import add_box, delete_box, set_box
-from farfield.annotation.errors import ConflictError, RefusedError
-from farfield.annotation.motion import RefitBox
-from farfield.annotation.store import Author, EditResult, Store
-from farfield.annotation.track_edits import (
+from farfield.annotation.edits import (
+    add_box,
     boxes_of,
+    delete_box,
     fill,
     interpolate_track,
     merge_tracks,
     propagate_track,
+    set_box,
     set_track,
     split_track,
     together,
 )
-from farfield.annotation.undoing import undo
+from farfield.annotation.errors import ConflictError, RefusedError
+from farfield.annotation.motion import RefitBox
+from farfield.annotation.store import Author, EditResult, Store, undo
 from farfield.datasets.edits import track_cell
 
 A = "a"

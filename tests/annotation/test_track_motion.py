@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from edited_drives import pose
 
-from farfield.annotation.angles import turn, wrapped
 from farfield.annotation.motion import (
     RefitBox,
     TrackFrame,
@@ -16,6 +15,8 @@ from farfield.annotation.motion import (
     moved,
     propagate,
     to_world,
+    turn,
+    wrapped,
 )
 from farfield.datasets.labels import Numbers
 from farfield.frame import Boxes, Key

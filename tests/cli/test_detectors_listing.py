@@ -59,8 +59,8 @@ def test_all_weights_that_ship_are_known_and_offered() -> None:
     pytest.importorskip("torch")
     from farfield.detectors.catalogue import catalogue
     from farfield.detectors.weights import bundled_weights
+    from farfield.studio.options import StudioSettings
     from farfield.studio.session.detecting import offered
-    from farfield.studio.settings import StudioSettings
 
     entries = {entry.name: entry for entry in catalogue()}
     assert entries["pointpillars"].weights == "pointpillars-cirrus-sim"

@@ -15,9 +15,9 @@ from typing import Any
 from websockets.sync.client import ClientConnection, connect
 
 from farfield.datasets.base import Dataset
+from farfield.studio.options import StudioSettings
 from farfield.studio.samples import open_samples
 from farfield.studio.serving import run
-from farfield.studio.settings import StudioSettings
 
 _NAMES = itertools.count(1)
 

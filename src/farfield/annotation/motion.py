@@ -3,13 +3,13 @@
 Pure functions of numbers: what they are called with and what becomes of their boxes is the caller's.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from farfield.annotation.angles import turn, wrapped
 from farfield.datasets.labels import Numbers
 from farfield.frame import Key
 from farfield.geometry.poses import invert
@@ -222,3 +222,27 @@ def _astray(key: Key, off_m: float, window_m: float) -> str:
         f"In frame {key[1]} the points lie {off_m:.1f} m from where the motion takes the object, more than "
         f"{window_m:.1f} m: set a keyframe there, or end the track."
     )
+
+
+# Yaw angles as single numbers: wrapped, and compared by the shorter way round.
+
+
+def wrapped(yaw_rad: float) -> float:
+    """A yaw in [-pi, pi); one that lies there keeps every bit.
+
+    >>> wrapped(3 * math.pi / 2) == -math.pi / 2
+    True
+    """
+    if -math.pi <= yaw_rad < math.pi:
+        return yaw_rad
+    turned = (yaw_rad + math.pi) % (2 * math.pi) - math.pi
+    return turned if turned < math.pi else -math.pi
+
+
+def turn(before_rad: float, after_rad: float) -> float:
+    """How far a heading turns from one to another, the shorter way, in [-pi, pi).
+
+    >>> round(turn(3.0, -3.0), 3)
+    0.283
+    """
+    return wrapped(after_rad - before_rad)

@@ -1,18 +1,18 @@
 """The annotation of a data set as it stands: label files with the edits on top, versions, undo."""
 
 import threading
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from farfield.annotation.drives import DriveTable
+from farfield.annotation.drives import DriveTable, TrackIndex
 from farfield.annotation.errors import ConflictError, RefusedError
-from farfield.annotation.history import History
 from farfield.annotation.journal import EditJournal
 from farfield.annotation.label_files import LabelFiles
 from farfield.annotation.schema import Extent, Schema, load_schema
-from farfield.annotation.track_index import TrackIndex
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import Cell, CellEdit, EditState, Record, box_cell, label_of, numbers, value_of
 from farfield.datasets.labels import BoxLabel, LabelFormat, Numbers
@@ -248,3 +248,154 @@ class _BoxOrder:
 def _row(name: str, value: Mapping[str, Any], version: int, by: str) -> StoredBox:
     proposal = value.get("proposal")
     return StoredBox(label_of(name, value), version, by, None if proposal is None else numbers(proposal))
+
+
+# What each annotator can take back and do again, found from the journal alone: it survives restarts.
+
+EDITS = ("box.", "track.")
+"""Operations that can be taken back begin so; a save or a bookmark cannot."""
+UNDO, REDO, KEEP = "undo", "redo", "keep"
+"""Operations on steps; ``keep`` gives up taking a step back, where somebody else went on from it."""
+
+
+class UndoStep(NamedTuple):
+    """What one undo takes back.
+
+    Args:
+        seqs: The edits, in the order in which they were made.
+        by: Who made them.
+        group: Their group, if they have one.
+    """
+
+    seqs: tuple[int, ...]
+    by: str
+    group: str | None
+
+
+class History:
+    """Stacks of steps, one pair an annotator.
+
+    A new edit clears what its annotator could do again. Taking back a step moves it from one stack to the other, as a
+    step whose edits are the ones that took it back.
+    """
+
+    def __init__(self) -> None:
+        self._back: dict[str, list[UndoStep]] = defaultdict(list)
+        self._again: dict[str, list[UndoStep]] = defaultdict(list)
+
+    def take(self, record: Record) -> None:
+        """Take an edit of the journal in."""
+        if record.op == UNDO:
+            self._move(record, self._back, self._again)
+        elif record.op == REDO:
+            self._move(record, self._again, self._back)
+        elif record.op == KEEP:
+            self._pop(record, self._back)
+        elif record.op.startswith(EDITS):
+            steps = self._back[record.by]
+            if record.group is not None and steps and steps[-1].group == record.group:
+                steps[-1] = steps[-1]._replace(seqs=(*steps[-1].seqs, record.seq))
+            else:
+                steps.append(UndoStep((record.seq,), record.by, record.group))
+            self._again[record.by].clear()
+
+    def _move(self, record: Record, source: dict[str, list[UndoStep]], target: dict[str, list[UndoStep]]) -> None:
+        owner, step = self._pop(record, source)
+        target[owner].append(UndoStep((record.seq,), step.by, None))
+
+    def _pop(self, record: Record, source: dict[str, list[UndoStep]]) -> tuple[str, UndoStep]:
+        for owner, steps in source.items():
+            if steps and steps[-1].seqs == record.undoes:
+                return owner, steps.pop()
+        raise ValueError(f"an {record.op} of {list(record.undoes)}, which is nobody's last step")
+
+    def last(self, by: str | None, op: str = UNDO) -> UndoStep | None:
+        """The step that an undo or a redo concerns now; None where there is none.
+
+        Args:
+            by: The annotator; None: whoever made the latest.
+            op: ``undo`` or ``redo``.
+        """
+        stacks = self._back if op == UNDO else self._again
+        tops = [steps[-1] for owner, steps in stacks.items() if steps and by in (None, owner)]
+        return max(tops, key=_newest, default=None)
+
+    def counts(self, by: str) -> tuple[int, int]:
+        """How many steps an annotator can take back and do again."""
+        return len(self._back.get(by, ())), len(self._again.get(by, ()))
+
+
+def _newest(step: UndoStep) -> int:
+    return step.seqs[-1]
+
+
+# Taking back and doing again: the inverse of a step, as an edit at the journal's end.
+
+
+def undo(store: Store, author: Author, id: str, *, everybody: bool = False, force: bool = False) -> EditResult:
+    """Take back the last step.
+
+    Args:
+        store: The annotation.
+        author: Who.
+        id: The client's name of this undo.
+        everybody: Take back whatever was done last by anybody, not only the author's own.
+        force: Also where somebody else changed one of the objects since: their value goes.
+
+    Raises:
+        RefusedError: If there is nothing to take back.
+        ConflictError: If somebody else changed one of the objects since, and not ``force``: who, and the value now.
+    """
+    return _step(store, author, id, UNDO, everybody, force)
+
+
+def redo(store: Store, author: Author, id: str, *, everybody: bool = False, force: bool = False) -> EditResult:
+    """Do again what was taken back last; see :func:`undo`."""
+    return _step(store, author, id, REDO, everybody, force)
+
+
+def keep(store: Store, author: Author, id: str) -> EditResult:
+    """Leave the last step as it is, so that the next undo takes back the one before it."""
+    with store.lock:
+        seqs = () if store.journal.seq_of(id) is not None else _last(store, author, KEEP, False).seqs
+        return store.edit(author, id, KEEP, _nothing, undoes=seqs)
+
+
+def _step(store: Store, author: Author, id: str, op: str, everybody: bool, force: bool) -> EditResult:
+    with store.lock:
+        if store.journal.seq_of(id) is not None:
+            return store.edit(author, id, op, _nothing)
+        step = _last(store, author, op, everybody)
+        return store.edit(author, id, op, partial(inverse, step=step, force=force), undoes=step.seqs)
+
+
+def _last(store: Store, author: Author, op: str, everybody: bool) -> UndoStep:
+    step = store.history.last(None if everybody else author.by, REDO if op == REDO else UNDO)
+    if step is None:
+        what = "done again" if op == REDO else "taken back"
+        raise RefusedError("nothing", f"there is nothing to be {what}")
+    return step
+
+
+def _nothing(store: Store) -> Sequence[CellEdit]:
+    del store
+    return ()
+
+
+def inverse(store: Store, step: UndoStep, force: bool) -> Sequence[CellEdit]:
+    """The changes that bring back what was before a step.
+
+    Raises:
+        ConflictError: If an object is no longer as the step left it, and not ``force``.
+    """
+    first: dict[Cell, CellEdit] = {}
+    last: dict[Cell, CellEdit] = {}
+    for seq in step.seqs:
+        for change in store.journal.read(seq).changes:
+            first.setdefault(change.cell, change)
+            last[change.cell] = change
+    for cell, change in last.items():
+        standing = store.state.get(cell)
+        if standing is not None and standing.value != change.new and not force:
+            raise ConflictError(cell, standing.value, standing.version, standing.by)
+    return [store.change(cell, change.old) for cell, change in first.items()]

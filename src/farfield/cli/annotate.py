@@ -59,9 +59,8 @@ def run(
         browser: Open the browser; never over SSH.
     """
     from farfield.cli._words import names
+    from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
-    from farfield.studio.settings import StudioSettings
-    from farfield.studio.starting import DatasetOpener
 
     opening = DatasetOpener(data, labels=labels)
     settings = StudioSettings(

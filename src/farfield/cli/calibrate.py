@@ -109,7 +109,7 @@ def run(
         focal_px=guess_focal, intrinsics=intrinsics, position_m=position, facing_deg=facing, car=car
     )
     if page:
-        from farfield.studio.settings import CalibrationSettings
+        from farfield.studio.options import CalibrationSettings
 
         assert kind in ("radar-lidar", "lidar-camera")
         settings = CalibrationSettings(
@@ -136,9 +136,8 @@ def run(
 
 
 def _page(path: Path, given: dict[str, Any], calibration: Any, *, port: int | None, browser: bool) -> int:
+    from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
-    from farfield.studio.settings import StudioSettings
-    from farfield.studio.starting import DatasetOpener
 
     opening = DatasetOpener(path, **given)
     settings = StudioSettings(mode="calibrate", title=opening.title, calibration=calibration)

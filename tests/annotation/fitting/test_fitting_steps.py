@@ -5,12 +5,10 @@ import pytest
 from fitting_scenes import CAR, road, scene, sides
 
 from farfield.annotation.fitting import prior_of
-from farfield.annotation.fitting.anchoring import along_length, footprint
-from farfield.annotation.fitting.clusters import cluster_at, link_radius_m
-from farfield.annotation.fitting.contract import Prior
+from farfield.annotation.fitting.boxes import cluster_at, link_radius_m
 from farfield.annotation.fitting.ground import above, fit_ground
-from farfield.annotation.fitting.lshape import best_yaw, scores, turned_yaw
-from farfield.annotation.fitting.searching import search
+from farfield.annotation.fitting.prior import Prior, along_length, footprint
+from farfield.annotation.fitting.search import best_yaw, scores, search, turned_yaw
 from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
 
 

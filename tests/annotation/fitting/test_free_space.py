@@ -7,7 +7,7 @@ import pytest
 from fitting_scenes import CAR, road, seen_past, sides
 
 from farfield.annotation.fitting import BoxFit, fit_drag, prior_of
-from farfield.annotation.fitting.freespace import ends_of
+from farfield.annotation.fitting.ends import ends_of
 from farfield.annotation.fitting.ground import above, fit_ground
 
 LONG = (5.6, 1.9, 1.5)

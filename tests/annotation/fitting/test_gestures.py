@@ -18,7 +18,7 @@ from farfield.annotation.fitting import (
     prior_of,
     refit,
 )
-from farfield.annotation.fitting.contract import boxes_of
+from farfield.annotation.fitting.prior import boxes_of
 from farfield.geometry.iou import paired_iou
 
 PLACES = ((12.0, 3.0), (25.0, -8.0), (-18.0, 6.0), (45.0, 10.0))

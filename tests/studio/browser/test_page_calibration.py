@@ -16,7 +16,7 @@ from studio.posts import CAMERA, PLANTED, RADAR, plant_radar, write_kitti, write
 from farfield.calibration.edges import difference
 from farfield.datasets import open_dataset
 from farfield.geometry.poses import invert
-from farfield.studio.settings import CalibrationSettings
+from farfield.studio.options import CalibrationSettings
 
 pytestmark = pytest.mark.slow
 

@@ -16,10 +16,10 @@ from farfield.calibration.edges import difference
 from farfield.datasets import open_dataset
 from farfield.datasets.calibration import read_calibration
 from farfield.errors import ConfigError
-from farfield.studio.calibrating.calibrating import CalibrationService
-from farfield.studio.calibrating.values import camera_of, camera_values
-from farfield.studio.messages.checking import read_request
-from farfield.studio.settings import CalibrationSettings
+from farfield.studio.calibrating.service import CalibrationService
+from farfield.studio.calibrating.task import camera_of, camera_values
+from farfield.studio.messages.requests import read_request
+from farfield.studio.options import CalibrationSettings
 
 RADAR = {"x_m": -2.5, "y_m": 0.3, "z_m": 0.7, "yaw_rad": 0.0, "frames": 0, "time_offset_s": 0.0}
 LENS = {"fx": 707.0, "fy": 707.0, "cx": 604.0, "cy": 180.5, "distortion": [0.0] * 5, "moved": [0.0] * 6}

@@ -21,7 +21,7 @@ from studio.showing.test_studio_wire import decode
 from farfield.cli import main
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.animations import write_animation
-from farfield.studio.exporting.pages import standalone
+from farfield.studio.exports import standalone
 from farfield.studio.messages.replies import FrameState, Welcome
 from farfield.studio.messages.rows import FrameInfo
 from farfield.studio.showing.opened import STATIC

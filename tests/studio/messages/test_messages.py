@@ -5,9 +5,8 @@ import pytest
 
 pytest.importorskip("pydantic")
 from farfield.errors import ConfigError
-from farfield.studio.messages.checking import read_request, write_reply
-from farfield.studio.messages.replies import Ack, Job
-from farfield.studio.messages.requests import BoxSet
+from farfield.studio.messages.replies import Ack, Job, write_reply
+from farfield.studio.messages.requests import BoxSet, read_request
 from farfield.studio.protocol import typescript
 
 VALUE = {"box": [10, 2.5, 0.8, 4.6, 1.9, 1.7, 0.3], "class_name": "vehicle", "track": 3}

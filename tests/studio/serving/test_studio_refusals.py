@@ -12,9 +12,8 @@ pytest.importorskip("uvicorn")
 from studio.live import Live, studio
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from farfield.studio.serving import limits
-from farfield.studio.serving import socket as socket_module
-from farfield.studio.serving.entry import AccessTokens, host_allowed
+from farfield.studio.serving import app, guard, run
+from farfield.studio.serving.guard import AccessTokens, host_allowed
 
 
 @pytest.fixture(scope="module")
@@ -148,13 +147,13 @@ def test_a_token_dies_after_ten_minutes_and_after_its_use():
     entry = AccessTokens(1, clock=lambda: now[0])
     first, second = entry.new_token(), entry.new_token()
     assert len(first) >= 43
-    now[0] = limits.TOKEN_S - 1
+    now[0] = guard.TOKEN_S - 1
     session = entry.admit(first)
     assert session is not None
     assert entry.admitted(f"a=b; farfield_1={session}")
     assert not entry.admitted(f"farfield_2={session}")
     assert entry.admit(first) is None
-    now[0] = limits.TOKEN_S + 1
+    now[0] = guard.TOKEN_S + 1
     assert entry.admit(second) is None
     assert entry.admitted(f"farfield_1={session}")  # who is in stays in
 
@@ -197,7 +196,7 @@ def test_there_is_nothing_but_frames_and_layers_by_number(live: Live, path):
 
 
 def test_a_body_beyond_8_mib_is_refused(live: Live):
-    told = {"origin": live.origin, "content_length": str(limits.BODY_BYTES + 1)}
+    told = {"origin": live.origin, "content_length": str(guard.BODY_BYTES + 1)}
     with contextlib.suppress(BrokenPipeError, ConnectionError):
         assert live.request("POST", "/shot", b"", **told)[0] == 413
     assert live.request("POST", "/shot", b"", origin=live.origin, content_length="x")[0] in (400, 413)
@@ -219,7 +218,7 @@ def test_a_body_without_length_is_counted(live: Live):
 
 def test_a_message_beyond_1_mib_closes_the_window(live: Live):
     with live.window() as client:
-        client.socket.send("x" * (limits.MESSAGE_BYTES + 1))
+        client.socket.send("x" * (run.MESSAGE_BYTES + 1))
         with pytest.raises(ConnectionClosed) as closed:
             client.until("never")
         assert closed.value.rcvd is not None
@@ -228,7 +227,7 @@ def test_a_message_beyond_1_mib_closes_the_window(live: Live):
 
 def test_the_ninth_window_is_sent_away(live: Live):
     with contextlib.ExitStack() as stack:
-        for _ in range(limits.WINDOWS):
+        for _ in range(app.WINDOWS):
             stack.enter_context(live.window())
         with live.raw() as ninth:
             ninth.send(json.dumps({"op": "hello", "window": "ninth"}))
@@ -261,7 +260,7 @@ def test_bytes_are_no_hello(live: Live):
 
 def test_messages_that_are_none_are_refused_and_then_the_window_is_closed(live: Live):
     with live.window() as client:
-        for number in range(limits.BAD_MESSAGES):
+        for number in range(app.BAD_MESSAGES):
             client.socket.send('{"op":"shell","command":"ls"}' if number % 2 else b"\x00\x01")
             assert client.until("refused")["code"] == "message"
         assert "reload" in client.until("bye")["reason"]
@@ -279,7 +278,7 @@ def test_edits_are_refused_where_only_is_shown(live: Live):
 
 
 def test_a_flood_of_edits_is_refused(live: Live, monkeypatch):
-    monkeypatch.setattr(socket_module, "EDITS_AT_ONCE", 5)
+    monkeypatch.setattr(app, "EDITS_AT_ONCE", 5)
     with live.window() as client:
         for _ in range(50):
             client.send(op="undo", id="u")
@@ -289,8 +288,8 @@ def test_a_flood_of_edits_is_refused(live: Live, monkeypatch):
 
 def test_the_bucket_holds_a_burst_and_fills_at_200_a_second():
     now = [0.0]
-    bucket = socket_module.Bucket(clock=lambda: now[0])
-    assert sum(bucket.take() for _ in range(5000)) == limits.EDITS_AT_ONCE
+    bucket = app.Bucket(clock=lambda: now[0])
+    assert sum(bucket.take() for _ in range(5000)) == app.EDITS_AT_ONCE
     now[0] = 0.5
     assert sum(bucket.take() for _ in range(5000)) == 100
 

@@ -15,9 +15,9 @@ pytest.importorskip("uvicorn")
 from studio.live import studio
 
 from farfield.errors import ConfigError, FarfieldError
+from farfield.studio.options import DatasetOpener
 from farfield.studio.serving import run
-from farfield.studio.serving.entry import AccessTokens
-from farfield.studio.starting import DatasetOpener
+from farfield.studio.serving.guard import AccessTokens
 from farfield.vocabulary.studio import STUDIO_PORT
 
 

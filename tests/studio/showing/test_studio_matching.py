@@ -8,7 +8,7 @@ from farfield.metrics.centre.matching import found_by
 from farfield.metrics.kradar.counting import match as kradar_match
 from farfield.metrics.kradar.frames import gather_kradar
 from farfield.metrics.kradar.settings import KRadarSettings
-from farfield.studio.showing.matching import FALSE, IGNORED, MATCHED, UNSEEN, match_frame
+from farfield.studio.showing.predictions import FALSE, IGNORED, MATCHED, UNSEEN, match_frame
 
 KEY = ("s", "0")
 

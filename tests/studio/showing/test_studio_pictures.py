@@ -10,9 +10,9 @@ from PIL import Image
 from farfield.datasets.base import Dataset
 from farfield.files.images import read_image
 from farfield.frame import Frame, Lazy
-from farfield.studio.showing import pictures
+from farfield.studio.showing import layers
+from farfield.studio.showing.layers import picture
 from farfield.studio.showing.opened import OpenedDataset
-from farfield.studio.showing.pictures import picture
 
 
 def road_scene(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
@@ -54,15 +54,15 @@ def test_a_small_png_and_one_that_a_jpeg_would_not_shorten_stay(tmp_path, rng, m
     lines = np.zeros((300, 400, 3), dtype=np.uint8)
     lines[::3, ::2] = 255
     Image.fromarray(lines).save(drawn)
-    monkeypatch.setattr(pictures, "_LARGE_BYTES", 10)
+    monkeypatch.setattr(layers, "_LARGE_BYTES", 10)
     assert picture(frame_of(drawn), "front") == (drawn.read_bytes(), "image/png")
     assert picture(frame_of(small), "front")[1] == "image/jpeg"
 
 
 def test_a_picture_is_encoded_once(large, monkeypatch):
     made = []
-    encode = pictures.as_jpeg
-    monkeypatch.setattr(pictures, "as_jpeg", lambda image: made.append(1) or encode(image))
+    encode = layers.as_jpeg
+    monkeypatch.setattr(layers, "as_jpeg", lambda image: made.append(1) or encode(image))
     opened = OpenedDataset(_One(frame_of(large)))
     first, again, exact = opened.picture(0, 0), opened.picture(0, 0), opened.picture(0, 0, exact=True)
     assert first is again

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from farfield.frame import Cloud
-from farfield.studio.showing.cache import Cache
 from farfield.studio.showing.opened import Payload, plain_error
 from farfield.studio.showing.wire import encode_cloud, encode_map
+from farfield.studio.threads import Cache
 
 TYPES = {"int16": "<i2", "uint8": "u1"}
 

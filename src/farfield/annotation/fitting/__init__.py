@@ -4,10 +4,9 @@ Every function takes the frame's original points, shape (n, 3), metres, float, a
 coordinates in which boxes are kept, and gives a :class:`BoxFit`. None keeps anything between calls.
 """
 
-from farfield.annotation.fitting.contract import Box, BoxFit, Extent, FitCandidate, Prior, prior_of
-from farfield.annotation.fitting.gestures import drop_to_ground, fit_click, fit_drag, fit_rectangle, refit
-from farfield.annotation.fitting.radar_peak import fit_radar_peak
-from farfield.annotation.fitting.radar_snap import peak_near
+from farfield.annotation.fitting.boxes import drop_to_ground, fit_click, fit_drag, fit_rectangle, refit
+from farfield.annotation.fitting.prior import Box, BoxFit, Extent, FitCandidate, Prior, prior_of
+from farfield.annotation.fitting.radar import fit_radar_peak, peak_near
 
 __all__ = [
     "Box",

@@ -4,13 +4,11 @@ import itertools
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
-from farfield.annotation.box_edits import MADE, add_box
-from farfield.annotation.checking import CheckSettings, DetectorBox, SizeRange, size_ranges
-from farfield.annotation.findings import all_findings, findings, settings_of
-from farfield.annotation.history import REDO, UNDO
+from farfield.annotation.checking import CheckSettings, DetectorBox, SizeRange
+from farfield.annotation.edits import MADE, add_box, fill, propagate_track
+from farfield.annotation.findings import all_findings, findings, settings_of, size_ranges
 from farfield.annotation.schema import Extent
-from farfield.annotation.store import Author, EditResult, Store
-from farfield.annotation.track_edits import fill, propagate_track
+from farfield.annotation.store import REDO, UNDO, Author, EditResult, Store
 from farfield.datasets.edits import CellEdit, Record
 from farfield.datasets.labels import BoxLabel
 from farfield.errors import FarfieldError
@@ -18,17 +16,15 @@ from farfield.frame import Boxes, Key
 from farfield.geometry.iou import pairwise_iou
 from farfield.studio.annotating.counting import SortedPoints
 from farfield.studio.annotating.fits import Fitter
-from farfield.studio.annotating.numbering import TrackNumbers
 from farfield.studio.annotating.opening import open_store
 from farfield.studio.annotating.planning import plan_of, row_in_drive
-from farfield.studio.annotating.presenting import Presenter
+from farfield.studio.annotating.presenting import Presenter, TrackNumbers
 from farfield.studio.annotating.saves import FORMATS, place_of
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.rows import BoxRow, CheckRow, ClassSpec, PlacedRow, RemovedRow, TrackRow
-from farfield.studio.settings import StudioSettings
-from farfield.studio.showing.classes import our_class, spec_of
+from farfield.studio.options import StudioSettings
 from farfield.studio.showing.opened import OpenedDataset
-from farfield.studio.showing.rows import boxes_of, numbers
+from farfield.studio.showing.rows import boxes_of, numbers, our_class, spec_of
 from farfield.studio.threads import ThreadGroup
 
 _LOOKED = 500

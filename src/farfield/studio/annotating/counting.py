@@ -4,11 +4,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from farfield.annotation.checking import Surroundings
-from farfield.annotation.checking.scene import in_box_axes
+from farfield.annotation.surroundings import Surroundings, in_box_axes
 from farfield.frame import Frame
 from farfield.geometry.boxes import BOX_MARGIN_M
-from farfield.studio.showing.cache import Cache
+from farfield.studio.threads import Cache
 
 _FRAMES = 6
 

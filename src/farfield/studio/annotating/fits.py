@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.annotation.fitting import BoxFit, Prior, fit_click, fit_drag, fit_radar_peak, prior_of, refit
-from farfield.annotation.fitting.gestures import fit_rectangle
+from farfield.annotation.fitting.boxes import fit_rectangle
 from farfield.annotation.motion import RefitBox, TrackFrame, from_world, to_world
 from farfield.annotation.store import Store
 from farfield.datasets.edits import track_cell
@@ -16,12 +16,12 @@ from farfield.errors import ConfigError
 from farfield.frame import Frame, Key
 from farfield.geometry.poses import invert
 from farfield.studio.annotating.counting import cloud_name
-from farfield.studio.annotating.numbering import TrackNumbers
+from farfield.studio.annotating.presenting import TrackNumbers
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Candidate, Fitted
-from farfield.studio.showing.classes import our_class
 from farfield.studio.showing.opened import OpenedDataset
 from farfield.studio.showing.radar import product_of
+from farfield.studio.showing.rows import our_class
 from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
 
 _NUMBERS = {"click": 2, "drag": 4, "rectangle": 8, "refit": 0, "peak": 2}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.annotation.box_edits import LARGEST_M
+from farfield.annotation.edits import LARGEST_M
 from farfield.annotation.schema import AttributeSettings, ClassSettings, Extent, Schema, Size, fastest
 from farfield.annotation.store import Store
 from farfield.datasets.base import Dataset
@@ -18,9 +18,8 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.frame import Key
 from farfield.studio.messages.rows import ClassSpec
-from farfield.studio.settings import StudioSettings
-from farfield.studio.showing.classes import annotated_classes, shown_classes
-from farfield.studio.showing.rows import numbers
+from farfield.studio.options import StudioSettings
+from farfield.studio.showing.rows import annotated_classes, numbers, shown_classes
 from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 START = "labels.csv"
@@ -101,7 +100,7 @@ def offered_classes(format_name: str, given: Sequence[str], borne: Mapping[str, 
 
     Args:
         format_name: Format of the data set.
-        given: As of :func:`~farfield.studio.showing.classes.shown_classes`.
+        given: As of :func:`~farfield.studio.showing.rows.shown_classes`.
         borne: Of :func:`borne_classes`.
     """
     specs = annotated_classes(format_name, given)

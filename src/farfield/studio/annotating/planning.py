@@ -4,12 +4,19 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from farfield.annotation.box_edits import add_box, delete_box, set_box
+from farfield.annotation.edits import (
+    add_box,
+    delete_box,
+    interpolate_track,
+    merge_tracks,
+    set_box,
+    set_track,
+    split_track,
+)
 from farfield.annotation.errors import RefusedError
 from farfield.annotation.store import Store
-from farfield.annotation.track_edits import interpolate_track, merge_tracks, set_track, split_track
 from farfield.datasets.edits import CellEdit
-from farfield.studio.annotating.numbering import TrackNumbers
+from farfield.studio.annotating.presenting import TrackNumbers
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.rows import BoxValue
 

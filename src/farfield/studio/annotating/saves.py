@@ -9,7 +9,7 @@ from farfield.annotation.saving import export_labels, save_copy, save_in_place, 
 from farfield.annotation.store import Author, Store
 from farfield.datasets.labels.formats import label_files_in
 from farfield.errors import ConfigError
-from farfield.studio.settings import StudioSettings
+from farfield.studio.options import StudioSettings
 
 FORMATS = ("boxes-csv", "openlabel", "sustechpoints", "cvat")
 """Of any data set, beside its own."""

@@ -29,10 +29,19 @@ from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.geometry.cameras import Camera
-from farfield.studio.calibrating.task import CalibrationSolution, Pick, Snapshot, bars, known_of
-from farfield.studio.calibrating.values import Values, camera_of, camera_values, same_lens
+from farfield.studio.calibrating.task import (
+    CalibrationSolution,
+    Pick,
+    Snapshot,
+    Values,
+    bars,
+    camera_of,
+    camera_values,
+    known_of,
+    same_lens,
+)
 from farfield.studio.messages.calibration import CalibFrame, CalibrationKind, CameraValues, Figure, Residuals
-from farfield.studio.settings import CalibrationSettings
+from farfield.studio.options import CalibrationSettings
 
 _LIMITS_PX = np.arange(-6.25, 6.5, 0.5)
 _READ = 0.7  # of the time of preparing

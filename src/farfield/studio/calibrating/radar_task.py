@@ -18,8 +18,16 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.radar_pose import RADAR_FILE, SIDE_FILE
 from farfield.errors import ConfigError, DatasetError
 from farfield.geometry.cameras import Camera
-from farfield.studio.calibrating.task import CalibrationSolution, Pick, Snapshot, bars, known_of
-from farfield.studio.calibrating.values import Values, pose_of, radar_values
+from farfield.studio.calibrating.task import (
+    CalibrationSolution,
+    Pick,
+    Snapshot,
+    Values,
+    bars,
+    known_of,
+    pose_of,
+    radar_values,
+)
 from farfield.studio.messages.calibration import (
     CalibFrame,
     CalibrationKind,
@@ -30,7 +38,7 @@ from farfield.studio.messages.calibration import (
     ResidualPoint,
     Residuals,
 )
-from farfield.studio.settings import CalibrationSettings
+from farfield.studio.options import CalibrationSettings
 
 _LIMITS_CM = np.arange(-160.0, 161.0, 10.0)
 _MOST_POINTS = 2000

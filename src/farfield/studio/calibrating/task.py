@@ -1,20 +1,70 @@
 """What both calibrations have in common: a task reads frames once, tells residuals of any values, solves and saves."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
+from farfield.calibration.edges import difference, moved
 from farfield.calibration.problems import Parameter, Told
+from farfield.calibration.radar_matching import RadarPose
 from farfield.datasets.base import Dataset
 from farfield.geometry.cameras import Camera
-from farfield.studio.calibrating.values import Values
-from farfield.studio.messages.calibration import Bars, CalibFrame, CalibrationKind, Known, OffsetScore, Residuals
+from farfield.studio.messages.calibration import (
+    Bars,
+    CalibFrame,
+    CalibrationKind,
+    CameraValues,
+    Known,
+    OffsetScore,
+    RadarValues,
+    Residuals,
+)
 
 _UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0)}
+
+
+# Values between messages and the calibration room's own types.
+
+Values = RadarValues | CameraValues
+
+
+def pose_of(values: RadarValues) -> RadarPose:
+    """A radar's pose from a message."""
+    return RadarPose(**vars(values))
+
+
+def radar_values(pose: RadarPose) -> RadarValues:
+    """A radar's pose as a message."""
+    return RadarValues(**vars(pose))
+
+
+def camera_of(values: CameraValues, start: Camera) -> Camera:
+    """A camera from a message.
+
+    Args:
+        values: Intrinsics, and moves from the start.
+        start: The camera from which moves are counted.
+    """
+    matrix = np.array([[values.fx, 0.0, values.cx], [0.0, values.fy, values.cy], [0.0, 0.0, 1.0]])
+    there = moved(start, np.array(values.moved, dtype=np.float64))
+    return replace(there, matrix=matrix, distortion=np.array(values.distortion, dtype=np.float64))
+
+
+def camera_values(camera: Camera, start: Camera) -> CameraValues:
+    """A camera as a message; arguments as of :func:`camera_of`."""
+    (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
+    k1, k2, p1, p2, k3 = camera.distortion.tolist()
+    a, b, c, x, y, z = difference(camera, start).tolist()
+    return CameraValues(fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2, k3), moved=(a, b, c, x, y, z))
+
+
+def same_lens(one: Camera, other: Camera) -> bool:
+    """Whether two cameras have the same focal lengths, centre and distortion."""
+    return bool(np.allclose(one.matrix, other.matrix, atol=1e-6) and np.allclose(one.distortion, other.distortion))
 
 
 @dataclass(frozen=True)

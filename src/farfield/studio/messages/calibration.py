@@ -4,8 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from farfield.studio.messages.base import Count, Index, Name, Place, Word, Yaw, message
-from farfield.studio.messages.rows import CameraModel
+from farfield.studio.messages.rows import CameraModel, Count, Index, Name, Place, Word, Yaw, message
 
 CalibrationKind = Literal["radar-lidar", "lidar-camera"]
 Focal = Annotated[float, Field(ge=10.0, le=100_000.0)]

@@ -1,10 +1,11 @@
 """What the server sends."""
 
-from typing import Literal
+import json
+from typing import Any, Literal
 
-from farfield.studio.messages.base import AnyBox, Nanoseconds, message
 from farfield.studio.messages.calibration import CalibReply
 from farfield.studio.messages.rows import (
+    AnyBox,
     Bookmark,
     BoxRow,
     CheckRow,
@@ -14,12 +15,14 @@ from farfield.studio.messages.rows import (
     FrameInfo,
     Layer,
     MatchRow,
+    Nanoseconds,
     PlacedRow,
     PredictedFrame,
     PredictionSet,
     RemovedRow,
     TrackRow,
     Trail,
+    message,
 )
 
 VERSION = 1
@@ -283,3 +286,12 @@ Reply = (
     | CalibReply
 )
 """Whatever the server sends."""
+
+
+def write_reply(reply: Any) -> str:
+    """A message to the page as JSON text.
+
+    Raises:
+        ValueError: If a number is not finite.
+    """
+    return json.dumps(plain(reply), separators=(",", ":"), allow_nan=False)

@@ -1,11 +1,15 @@
 """What the page sends. ``id`` is the page's own: a message sent again after a lost reply is recognised by it."""
 
-from typing import Annotated, Literal
+from functools import lru_cache
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, TypeAdapter, ValidationError
 
-from farfield.studio.messages.base import (
+from farfield.errors import ConfigError, fault_of
+from farfield.studio.messages.calibration import CalibRequest
+from farfield.studio.messages.rows import (
     BoxNumbers,
+    BoxValue,
     Count,
     FileName,
     Index,
@@ -18,8 +22,6 @@ from farfield.studio.messages.base import (
     Word,
     message,
 )
-from farfield.studio.messages.calibration import CalibRequest
-from farfield.studio.messages.rows import BoxValue
 
 
 @message
@@ -327,3 +329,25 @@ Request = Annotated[
     Field(discriminator="op"),
 ]
 """Whatever the page sends."""
+
+
+@lru_cache(maxsize=1)
+def _adapter() -> Any:
+    return TypeAdapter(Request)
+
+
+def read_request(text: str | bytes) -> Any:
+    """A message of the page.
+
+    Args:
+        text: JSON, one object with the field ``op``.
+
+    Raises:
+        ConfigError: If it is no such message: unknown field or op, wrong kind, out of bounds, inf or NaN.
+    """
+    try:
+        return _adapter().validate_json(text, strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"])) or "message"
+        raise ConfigError(f"message refused: {where}: {fault_of(first)}") from None

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import os
 import socket
 import sys
@@ -14,20 +15,46 @@ from typing import TYPE_CHECKING
 import uvicorn
 
 from farfield.errors import ConfigError
-from farfield.studio.serving.entry import AccessTokens
-from farfield.studio.serving.guard import App, Guard
-from farfield.studio.serving.late import DeferredApp
-from farfield.studio.serving.limits import MESSAGE_BYTES, PING_S
-from farfield.studio.session.window import ClientWindow
-from farfield.studio.settings import StudioSettings
+from farfield.studio.options import StudioSettings
+from farfield.studio.serving.guard import AccessTokens, App, Guard, Receive, Scope, Send, answer
+from farfield.studio.session.session import ClientWindow
 from farfield.vocabulary.studio import STUDIO_PORT
 
 if TYPE_CHECKING:
     from farfield.datasets.base import Dataset
-    from farfield.studio.session.desk import Session
+    from farfield.studio.session.session import Session
 
+MESSAGE_BYTES = 1 << 20
+"""Longest message of a WebSocket."""
+PING_S = 20.0
 _TRIED = 50
 Say = Callable[[str], None]
+
+
+# Listening before anything heavy is imported: what is asked meanwhile waits, and ``/health`` says how far it is.
+
+
+class DeferredApp:
+    """An application that comes later."""
+
+    def __init__(self) -> None:
+        self._app: App | None = None
+        self._there = asyncio.Event()
+
+    def take(self, app: App) -> None:
+        """Pass everything on to an application from now on."""
+        self._app = app
+        self._there.set()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Wait for the application, then let it answer."""
+        if self._app is None and scope["type"] == "http" and scope["path"] == "/health":
+            words = json.dumps({"status": "ok", "ready": False})
+            await answer(send, 200, words, kind="application/json")
+            return
+        await self._there.wait()
+        assert self._app is not None
+        await self._app(scope, receive, send)
 
 
 def listening(port: int | None) -> socket.socket:
@@ -181,8 +208,8 @@ async def _closed(desk: "Session") -> None:
 
 def _made(settings: StudioSettings) -> "tuple[Session, App]":
     from farfield.studio.serving.app import make_app
-    from farfield.studio.session.desk import Session
     from farfield.studio.session.handlers import HANDLERS
+    from farfield.studio.session.session import Session
 
     desk = Session(settings, HANDLERS)
     return desk, make_app(desk)

@@ -9,13 +9,12 @@ from functools import partial
 from typing import TypeVar
 
 from farfield.errors import FarfieldError
-from farfield.studio.calibrating.calibrating import CalibrationError, CalibrationService, CancelledError
+from farfield.studio.calibrating.service import CalibrationError, CalibrationService, CancelledError
 from farfield.studio.calibrating.task import CalibrationSolution
 from farfield.studio.messages import calibration as asked
 from farfield.studio.messages.calibration import CalibResidual, CalibSaved
 from farfield.studio.messages.replies import Job
-from farfield.studio.session.desk import Handler, Session
-from farfield.studio.session.window import ClientWindow
+from farfield.studio.session.session import ClientWindow, Handler, Session
 from farfield.studio.showing.opened import plain_error
 
 T = TypeVar("T")

@@ -12,10 +12,9 @@ from farfield.studio.inferring.worker import Worker
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Job, Predicted
 from farfield.studio.messages.rows import DetectorRow, PredictionSet
-from farfield.studio.session.desk import Session
+from farfield.studio.options import StudioSettings
 from farfield.studio.session.editing import propose
-from farfield.studio.session.window import ClientWindow
-from farfield.studio.settings import StudioSettings
+from farfield.studio.session.session import ClientWindow, Session
 from farfield.studio.showing.opened import plain_error
 from farfield.studio.showing.predictions import Predictions, colour
 

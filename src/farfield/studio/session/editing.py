@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from farfield.annotation import notes, undoing
+from farfield.annotation import notes
 from farfield.annotation.errors import ConflictError
-from farfield.annotation.history import REDO, UNDO
-from farfield.annotation.store import Author, EditResult
+from farfield.annotation.store import REDO, UNDO, Author, EditResult
 from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Boxes
 from farfield.studio.annotating.annotation import AnnotationService
@@ -17,8 +16,7 @@ from farfield.studio.annotating.saves import save as save_labels
 from farfield.studio.inferring.jobs import InferJob
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import Ack, Changed, Checks, Conflict, Failure, PolicyIs, Saved
-from farfield.studio.session.desk import Session
-from farfield.studio.session.window import ClientWindow
+from farfield.studio.session.session import ClientWindow, Session
 from farfield.studio.showing.opened import plain_error
 
 
@@ -68,7 +66,7 @@ async def _slowly(
 async def undo(desk: Session, window: ClientWindow, request: asked.Undo | asked.Redo) -> None:
     """Take back or do again."""
     store, author = annotating(desk).store, Author(window.annotator, window.id)
-    step = undoing.undo if isinstance(request, asked.Undo) else undoing.redo
+    step = store.undo if isinstance(request, asked.Undo) else store.redo
     everybody = request.scope == "all"
     await _taken(
         desk, window, request.id, lambda: step(store, author, request.id, everybody=everybody, force=request.force)

@@ -10,16 +10,14 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.files.animations import write_animation
 from farfield.files.atomic import write_text
 from farfield.studio.annotating.saves import FORMATS, pack
-from farfield.studio.exporting.exports import ExportedFile
-from farfield.studio.exporting.pages import MOST_FRAMES, standalone
+from farfield.studio.exports import MOST_FRAMES, ExportedFile, standalone
 from farfield.studio.messages import requests as asked
 from farfield.studio.messages.replies import FrameState, Job
 from farfield.studio.messages.rows import Layer
-from farfield.studio.session.book import FrameCache, first_of
-from farfield.studio.session.desk import Session
-from farfield.studio.session.looking import welcome
-from farfield.studio.session.window import ClientWindow
-from farfield.studio.settings import StudioSettings
+from farfield.studio.options import StudioSettings
+from farfield.studio.session.frame_cache import FrameCache, first_of
+from farfield.studio.session.session import ClientWindow, Session
+from farfield.studio.session.viewing import welcome
 from farfield.studio.showing.opened import STATIC, plain_error
 
 _NUMBERS = itertools.count(1)

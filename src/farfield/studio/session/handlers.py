@@ -1,13 +1,13 @@
 """Which function answers which message."""
 
 from farfield.studio.messages import requests as asked
-from farfield.studio.session import calibrating, detecting, editing, exporting, looking, marking
-from farfield.studio.session.desk import Handler
+from farfield.studio.session import calibrating, detecting, editing, exporting, viewing
+from farfield.studio.session.session import Handler
 
 HANDLERS: dict[type, Handler] = {
-    asked.FrameOpen: looking.open_frame,
-    asked.Preview: looking.preview,
-    asked.BookmarkSet: looking.bookmark,
+    asked.FrameOpen: viewing.open_frame,
+    asked.Preview: viewing.preview,
+    asked.BookmarkSet: viewing.bookmark,
     asked.InferStart: detecting.infer,
     asked.InferCancel: detecting.cancel,
     asked.Export: exporting.export,
@@ -27,6 +27,6 @@ HANDLERS: dict[type, Handler] = {
     asked.Save: editing.save,
     asked.PolicySet: editing.policy,
     asked.Timing: editing.timing,
-    asked.MatchList: marking.match_list,
+    asked.MatchList: viewing.match_list,
     **calibrating.HANDLERS,
 }

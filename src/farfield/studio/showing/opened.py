@@ -13,11 +13,10 @@ from farfield.datasets.maps import Sweeps
 from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Drive, Frame
 from farfield.studio.messages.rows import DriveRow, Layer
-from farfield.studio.showing.cache import Cache
-from farfield.studio.showing.layers import layers_of
-from farfield.studio.showing.pictures import picture
+from farfield.studio.showing.layers import layers_of, picture
 from farfield.studio.showing.radar import RadarPower
 from farfield.studio.showing.wire import encode_cloud, encode_map
+from farfield.studio.threads import Cache
 
 _FRAMES = 5
 """Frames whose clouds stay in memory, for fits and counts."""
@@ -174,7 +173,7 @@ class OpenedDataset:
         return Payload.of(encode_cloud(cloud, facts), "application/octet-stream")
 
     def picture(self, index: int, place: int, *, exact: bool = False) -> Payload:
-        """A picture, made once as :func:`~farfield.studio.showing.pictures.picture` says.
+        """A picture, made once as :func:`~farfield.studio.showing.layers.picture` says.
 
         Args:
             index: The frame.

@@ -1,19 +1,30 @@
 """Sets of predicted boxes: read from files or made by a detector here, matched with the truth when they are shown."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from farfield.datasets.base import Dataset
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Annotation, Boxes, Key
+from farfield.metrics import PROTOCOLS, Detections, Protocol
+from farfield.metrics.centre.evaluation import match_scene
+from farfield.metrics.centre.matching import DROPPED
+from farfield.metrics.centre.scene import gather
+from farfield.metrics.centre.settings import CentreSettings
+from farfield.metrics.kitti.frames import gather_kitti
+from farfield.metrics.kitti.settings import KittiSettings
+from farfield.metrics.kradar.frames import gather_kradar
+from farfield.metrics.kradar.settings import KRadarSettings
 from farfield.metrics.reading import read_predictions
 from farfield.studio.messages.rows import BoxRow, Match, PredictedFrame, PredictedRow, PredictionSet
-from farfield.studio.showing.matching import IGNORED, MATCHED, UNSEEN, match_frame
 from farfield.studio.showing.rows import boxes_of, predicted_rows
 
+UNSEEN, FALSE, MATCHED, IGNORED = 0, 1, 2, 3
 _COLOURS = ("#e69f00", "#56b4e9", "#009e73", "#cc79a7", "#d55e00", "#f0e442")  # Okabe and Ito
 _WORDS: dict[int, Match] = {UNSEEN: "ignored", IGNORED: "ignored", MATCHED: "matched"}
 
@@ -121,3 +132,141 @@ def named_as(boxes: Mapping[Key, Boxes], data: Dataset) -> dict[Key, Boxes]:
 def colour(place: int) -> str:
     """Colour of a set, apart from the others for everybody."""
     return _COLOURS[place % len(_COLOURS)]
+
+
+# Which predictions of one frame are right, by the matching of the protocol that scores them.
+#
+# By centre distance (dds, nuscenes): predictions take turns by falling score, each takes the nearest free box within
+# the distance at which errors are taken, 2 m unless set. By overlap (kradar and its variants, kitti): annotated boxes
+# choose in their order the free prediction that overlaps most in space and more than the least overlap, as at the
+# lowest score threshold. What the protocol leaves out (another class, outside its region) is neither right nor wrong.
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMatching:
+    """What a protocol makes of a frame.
+
+    Args:
+        verdict: Of each of n predictions: UNSEEN (the protocol does not look at it), FALSE, MATCHED or IGNORED.
+        truth: The annotated box that each found, or -1, shape (n,).
+        missed: Annotated boxes that must be found and were not, shape (m,).
+        counts: Annotated boxes that must be found, shape (m,).
+        note: Why nothing was matched; empty where it was.
+    """
+
+    verdict: Int[np.ndarray, " n"]
+    truth: Int[np.ndarray, " n"]
+    missed: Bool[np.ndarray, " m"]
+    counts: Bool[np.ndarray, " m"]
+    note: str = ""
+
+
+def match_frame(protocol: str, predicted: Boxes, annotation: Annotation, *, key: Key, reference: str) -> FrameMatching:
+    """Match the predictions of one frame.
+
+    Args:
+        protocol: Name of the protocol, such as ``"kradar"``.
+        predicted: n boxes; those without scores count with 1.
+        annotation: m annotated boxes of the same frame, in the same coordinates.
+        key: The frame.
+        reference: Name of the coordinates.
+    """
+    n, m = len(predicted), len(annotation)
+    verdict, truth = np.zeros(n, dtype=np.int64), np.full(n, -1)
+    counts, missed = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
+    scored = predicted if predicted.score is not None else predicted.replace(score=np.ones(n))
+    found = Detections(boxes={key: scored}, annotations={key: annotation}, reference=reference)
+    note = ""
+    try:
+        for part in _parts(PROTOCOLS[protocol], found.counted()):
+            rows, boxes = _places(part.predicted, _numbers(scored)), _places(part.annotated, _numbers(annotation.boxes))
+            verdict[rows], truth[rows] = part.verdict, np.append(boxes, -1)[part.truth]
+            counts[boxes] |= part.counts
+            missed[boxes] |= part.counts & ~np.isin(np.arange(len(boxes)), part.truth)
+    except FarfieldError as error:
+        note = f"predictions are not matched: {error}"
+    return FrameMatching(verdict, truth, missed, counts, note)
+
+
+@dataclass(frozen=True, eq=False)
+class _ClassVerdicts:
+    """One class as the protocol saw it: boxes as rows of 7 numbers, verdicts, and rows of annotated boxes."""
+
+    predicted: Float[np.ndarray, "n 7"]
+    annotated: Float[np.ndarray, "m 7"]
+    verdict: Int[np.ndarray, " n"]
+    truth: Int[np.ndarray, " n"]
+    counts: Bool[np.ndarray, " m"]
+
+
+def _parts(protocol: Protocol, found: Detections) -> Iterator[_ClassVerdicts]:
+    if "label" not in protocol.options():
+        yield from _by(protocol, found, protocol.settings(found))
+        return
+    names = dict.fromkeys([*protocol.labels(found.annotated), *protocol.labels(found.boxes)])
+    for name in names:
+        yield from _by(protocol, found, protocol.settings(found, label=name))
+
+
+def _by(protocol: Protocol, found: Detections, settings: Any) -> Iterator[_ClassVerdicts]:
+    if isinstance(settings, CentreSettings):
+        yield _by_centre(found, settings)
+    elif isinstance(settings, KRadarSettings):
+        yield from _by_kradar(found, settings)
+    elif isinstance(settings, KittiSettings):
+        yield _by_kitti(found, settings)
+    else:
+        raise FarfieldError(f"protocol {protocol} does not say how it matches a frame; choose dds, kradar or kitti")
+
+
+def _by_centre(found: Detections, settings: CentreSettings) -> _ClassVerdicts:
+    scene = gather(found.boxes, found.annotated, settings)
+    taken = match_scene(scene, settings).taken[settings.epsilons[0], settings.error_thresholds_m[-1]]
+    verdict = np.where(taken >= 0, MATCHED, np.where(taken == DROPPED, IGNORED, FALSE))
+    truth = np.where(taken >= 0, taken, -1)
+    return _ClassVerdicts(_numbers(scene.predicted), _numbers(scene.annotated), verdict, truth, ~scene.ignored)
+
+
+def _by_kradar(found: Detections, settings: KRadarSettings) -> Iterator[_ClassVerdicts]:
+    data = gather_kradar(found.boxes, found.annotated, settings, None)
+    shift = np.zeros(7)
+    shift[:3] = settings.origin_m if settings.boxes_in == "os2-64" else 0.0
+    enough = data.overlap["3d"] > settings.ious[0]
+    truth = _chosen(data.pair[enough], data.overlap["3d"][enough], len(data.predicted))
+    verdict = np.where(truth >= 0, MATCHED, FALSE)
+    counts = np.ones(len(data.annotated), dtype=bool)
+    yield _ClassVerdicts(data.predicted.box + shift, data.annotated.box + shift, verdict, truth, counts)
+
+
+def _by_kitti(found: Detections, settings: KittiSettings) -> _ClassVerdicts:
+    data = gather_kitti(found.boxes, found.annotated, settings, {}, None)
+    enough = data.overlap["3d"] > settings.least_overlap
+    truth = _chosen(data.pair[enough], data.overlap["3d"][enough], len(data.predicted))
+    right = data.is_label[truth] & (truth >= 0) if len(data.is_label) else np.zeros(len(truth), dtype=bool)
+    verdict = np.where(right, MATCHED, np.where(truth >= 0, IGNORED, FALSE))
+    return _ClassVerdicts(_numbers(data.predicted), _numbers(data.annotated), verdict, truth, data.is_label)
+
+
+def _chosen(pair: Int[np.ndarray, "p 2"], overlap: Float[np.ndarray, " p"], predictions: int) -> Int[np.ndarray, " n"]:
+    """The annotated box of each prediction, or -1: boxes choose in their order what overlaps most and is free."""
+    truth = np.full(predictions, -1)
+    for box in np.unique(pair[:, 0]):
+        rows = np.flatnonzero((pair[:, 0] == box) & (truth[pair[:, 1]] < 0))
+        if len(rows):
+            truth[pair[rows[overlap[rows].argmax()], 1]] = box
+    return truth
+
+
+def _numbers(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
+    return np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
+
+
+def _places(rows: Float[np.ndarray, "k 7"], among: Float[np.ndarray, "n 7"]) -> Int[np.ndarray, " k"]:
+    """Where rows stand among others that hold all of them, to the rounding of a shift; equal ones in their order."""
+    places = np.zeros(len(rows), dtype=np.int64)
+    free = np.ones(len(among), dtype=bool)
+    for row, values in enumerate(rows):
+        apart = np.where(free, np.abs(among - values).sum(axis=1), np.inf)
+        places[row] = apart.argmin()
+        free[places[row]] = False
+    return places

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.annotation.fitting.radar_snap import peak_near
+from farfield.annotation.fitting.radar import peak_near
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
 from farfield.radar.cells import RadarCells
 from farfield.radar.grid import CUBE_SHAPE, CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSIDE

@@ -5,18 +5,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from farfield.annotation.fitting.anchoring import along_length, axes, footprint
-from farfield.annotation.fitting.clusters import cluster_at, link_radius_m
-from farfield.annotation.fitting.contract import Box, BoxFit, FitCandidate, HeadingFrom, Prior, boxes_of
-from farfield.annotation.fitting.finishing import headed, inside, stood_on
-from farfield.annotation.fitting.freespace import ends_of
+from farfield.annotation.fitting.ends import ends_of, placed
 from farfield.annotation.fitting.ground import Ground, above, fit_ground, near
-from farfield.annotation.fitting.lshape import CLOSENESS_BELOW, best_yaw, turned_yaw
-from farfield.annotation.fitting.placing import placed
-from farfield.annotation.fitting.searching import search
+from farfield.annotation.fitting.prior import Box
+from farfield.annotation.fitting.prior import BoxFit
+from farfield.annotation.fitting.prior import FitCandidate
+from farfield.annotation.fitting.prior import HeadingFrom
+from farfield.annotation.fitting.prior import Prior
+from farfield.annotation.fitting.prior import along_length
+from farfield.annotation.fitting.prior import axes
+from farfield.annotation.fitting.prior import boxes_of
+from farfield.annotation.fitting.prior import footprint
+from farfield.annotation.fitting.search import CLOSENESS_BELOW
+from farfield.annotation.fitting.search import best_yaw
+from farfield.annotation.fitting.search import search
+from farfield.annotation.fitting.search import turned_yaw
 from farfield.geometry.boxes import inside_box
+from farfield.geometry.boxes import wrap_angle_rad
 
 XY = Sequence[float] | Float[np.ndarray, " 2"]
 
@@ -304,3 +311,100 @@ def _fit(
     count = int(inside_box(scene.points_m, boxes_of(box), 0).sum())
     ms = 1000 * (time.perf_counter() - begun)
     return BoxFit(box=box, points=count, candidates=candidates, criterion=criterion, heading=heading, ms=ms, note=note)
+
+
+# From a rectangle to a box: bottom on the ground, top by the points, and the sign of the heading.
+
+_POINTS_FOR_TOP = 8
+_TOP_QUANTILE = 0.98
+_LEAST_HEIGHT_M = 0.3
+
+
+def inside(
+    xy_m: Float[np.ndarray, "n 2"], rectangle: Float[np.ndarray, " 5"], margin_m: float = 0.0
+) -> Bool[np.ndarray, " n"]:
+    """Whether points seen from above lie in a rectangle (x, y, length, width, yaw), shape (n,)."""
+    local = (xy_m - rectangle[:2]) @ axes(float(rectangle[4])).T
+    return np.asarray((np.abs(local) <= rectangle[2:4] / 2 + margin_m).all(axis=1))
+
+
+def stood_on(
+    rectangle: Float[np.ndarray, " 5"], points_m: Float[np.ndarray, "n 3"], ground: Ground, prior: Prior
+) -> Box:
+    """A box on the ground under its centre.
+
+    Its top is the 98 % quantile of its points' heights where there are eight or more, and the prior's height otherwise
+    or where the size is fixed.
+
+    Args:
+        rectangle: x, y, length, width, yaw.
+        points_m: The object's points.
+        ground: The ground near it.
+        prior: What is known of the object.
+    """
+    x, y, length, width, yaw = rectangle.tolist()
+    height = prior.size_m[2]
+    if len(points_m) >= _POINTS_FOR_TOP and not prior.fixed_size:
+        top = float(np.quantile(ground.heights_m(points_m), _TOP_QUANTILE))
+        height = max(top, _LEAST_HEIGHT_M)
+    return x, y, ground.z_m(x, y) + height / 2, length, width, height, float(wrap_angle_rad(np.array(yaw)))
+
+
+def headed(yaw_rad: float, prior: Prior, drawn_rad: float | None = None) -> tuple[float, HeadingFrom]:
+    """The yaw or its opposite, by the drag's direction, the track's or the lane's, in this order; else as it is.
+
+    >>> from farfield.annotation.fitting.prior import prior_of
+    >>> headed(3.0, prior_of("Sedan"), drawn_rad=0.1)
+    (-0.14159265358979312, 'drag')
+    """
+    known: tuple[tuple[float | None, HeadingFrom], ...] = (
+        (drawn_rad, "drag"),
+        (prior.yaw_rad, "track"),
+        (prior.lane_rad, "lane"),
+    )
+    for direction, source in known:
+        if direction is not None:
+            return (yaw_rad if np.cos(yaw_rad - direction) >= 0 else yaw_rad - np.pi), source
+    return yaw_rad, "ask"
+
+
+# The points that hang together with the one under the pointer.
+
+_CELLS = 4.0  # cells to a step: denser clouds are thinned to one point a cell before neighbours are sought
+
+
+def link_radius_m(range_m: float, *, small: bool) -> float:
+    """How far neighbours may lie apart: it grows with the range, as the beams part; less for people."""
+    if small:
+        return 0.3 + 0.003 * range_m
+    return float(np.clip(0.45 + 0.006 * range_m, 0.45, 1.6))
+
+
+def cluster_at(
+    points_m: Float[np.ndarray, "n 3"], at_m: tuple[float, float], radius_m: float
+) -> Bool[np.ndarray, " n"]:
+    """Which points are linked, by steps of at most ``radius_m``, with the one nearest to a place, shape (n,).
+
+    Args:
+        points_m: Points without the ground, shape (n, 3).
+        at_m: x and y of the place.
+        radius_m: Largest step.
+    """
+    from scipy.sparse import coo_array  # scipy takes a third of the studio's start
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    if len(points_m) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    cell_m = radius_m / _CELLS
+    whole = np.floor(points_m / cell_m).astype(np.int64)
+    whole -= whole.min(axis=0)
+    code = np.ravel_multi_index(tuple(whole.T), tuple(whole.max(axis=0) + 1))
+    _, first, member = np.unique(code, return_index=True, return_inverse=True)
+    cell = whole[first]
+    pairs = cKDTree((cell + 0.5) * cell_m).query_pairs(radius_m, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(cell), len(cell)))
+    _, component = connected_components(links, directed=False)
+    nearest = int(np.argmin(np.hypot(points_m[:, 0] - at_m[0], points_m[:, 1] - at_m[1])))
+    of_point = component[member.ravel()]
+    return np.asarray(of_point == of_point[nearest])

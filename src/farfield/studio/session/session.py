@@ -4,24 +4,59 @@ import asyncio
 import sys
 import traceback
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
-from farfield.studio.exporting.exports import Exports
+from farfield.studio.exports import Exports
 from farfield.studio.messages.replies import Bye, Refused, Reply, Windows
-from farfield.studio.session.book import FrameCache
-from farfield.studio.session.window import ClientWindow
-from farfield.studio.settings import StudioSettings
+from farfield.studio.options import StudioSettings
+from farfield.studio.session.frame_cache import FrameCache
 from farfield.studio.showing.opened import OpenedDataset, plain_error
 from farfield.studio.threads import ThreadGroup
 
 if TYPE_CHECKING:
     from farfield.studio.annotating.annotation import AnnotationService
-    from farfield.studio.calibrating.calibrating import CalibrationService
+    from farfield.studio.calibrating.service import CalibrationService
     from farfield.studio.inferring.jobs import Jobs
 
 T = TypeVar("T")
+_ONLY_SHOWS = "this studio shows only"
+_ANNOTATE = "start it as `farfield annotate` to change boxes"
+
+
+@dataclass(eq=False)
+class ClientWindow:
+    """A window.
+
+    Args:
+        id: Its name, its own among those open.
+        annotator: Who sits before it.
+        matching: Changes with every request for matches, so that an older one is given up.
+        room: How many replies may wait; a window that does not read loses its place.
+    """
+
+    id: str
+    annotator: str
+    room: int = 5000
+    frame: int | None = None
+    drive: str | None = None
+    threshold: float = 0.0
+    sweeps: int = 1
+    matching: object = None
+    replies: "asyncio.Queue[Reply | str]" = field(default_factory=asyncio.Queue)
+
+    def send(self, reply: "Reply | str") -> None:
+        """Queue a reply, or its text if that is the same for many."""
+        if self.replies.qsize() > self.room:
+            while not self.replies.empty():
+                self.replies.get_nowait()
+            self.replies.put_nowait(Bye(reason="this window did not read what it was sent: reload it"))
+        else:
+            self.replies.put_nowait(reply)
+
+
 Handler = Callable[["Session", ClientWindow, Any], Awaitable[None]]
 
 
@@ -73,7 +108,7 @@ class Session:
         given = () if edited is None else (edited.rows, edited.centres)
         self.book = FrameCache(opened, self.settings, *given)
         if self.settings.calibration is not None:
-            from farfield.studio.calibrating.calibrating import CalibrationService
+            from farfield.studio.calibrating.service import CalibrationService
 
             self.calibrating = CalibrationService(data, self.settings.calibration)
 
@@ -165,7 +200,3 @@ class Session:
             await self.in_thread(self.annotating.close)
         self.threads.end()
         self.exports.close()
-
-
-_ONLY_SHOWS = "this studio shows only"
-_ANNOTATE = "start it as `farfield annotate` to change boxes"

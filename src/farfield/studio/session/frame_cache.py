@@ -1,24 +1,32 @@
 """The open data set as a book of frames: what each shows, with predictions, trails and bookmarks."""
 
+import hashlib
+import json
+import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from farfield.datasets.base import Dataset
-from farfield.errors import ConfigError
-from farfield.frame import Boxes, Drive
+from farfield.errors import ConfigError, FileFormatError, plain
+from farfield.files.atomic import read_bytes, write_text
+from farfield.frame import Boxes, Drive, Key
 from farfield.frame.provenance import is_simulated
+from farfield.geometry.poses import invert, transform_points
 from farfield.metrics import PROTOCOLS
 from farfield.studio.messages.replies import FrameState
-from farfield.studio.messages.rows import BoxRow, PredictedFrame, Trail
-from farfield.studio.session.bookmarks import BookmarkStore
-from farfield.studio.session.trails import trails
-from farfield.studio.settings import StudioSettings
+from farfield.studio.messages.rows import Bookmark, BoxRow, PredictedFrame, Trail
+from farfield.studio.options import StudioSettings
 from farfield.studio.showing.opened import OpenedDataset
 from farfield.studio.showing.predictions import Predictions, read_set
 from farfield.studio.showing.rows import annotated_rows, frame_info
 
+Centres = Callable[[int], Sequence[tuple[int, float, float, float]]]
+"""Track number and centre of each box of a frame that has one."""
 Rows = Callable[[int], tuple[BoxRow, ...]]
-Centres = Callable[[int], list[tuple[int, float, float, float]]]
 
 
 class FrameCache:
@@ -92,7 +100,7 @@ class FrameCache:
         found = trails("", drive, index, tracks, self._annotated) if tracks else ()
         return (*found, *(trail for each in list(self.sets.values()) for trail in self._predicted(each, drive, index)))
 
-    def _annotated(self, index: int) -> list[tuple[int, float, float, float]]:
+    def _annotated(self, index: int) -> Sequence[tuple[int, float, float, float]]:
         if self.centres is not None:
             return self.centres(index)
         annotation = self.data.annotation(index)
@@ -137,3 +145,87 @@ def first_of(text: str, data: Dataset) -> int:
         return data.frame_ids.index(text)
     example = "/".join(data.keys[0]) if len(data) else "none"
     raise ConfigError(f"frame: expected a number below {len(data)}, or sequence/frame such as {example}; got {text!r}")
+
+
+AROUND = 10
+"""Frames before and after."""
+
+
+def trails(name: str, drive: Drive, index: int, tracks: Sequence[int], centres: Centres) -> tuple[Trail, ...]:
+    """The trails of some tracks.
+
+    Args:
+        name: Of the set, empty for annotations.
+        drive: The drive that holds the frame; without poses its centres stay in their frames' own coordinates.
+        index: The frame shown.
+        tracks: Numbers of the tracks.
+        centres: Gives the boxes of any frame.
+    """
+    place = int(np.flatnonzero(drive.indices == index)[0])
+    wanted, found = set(tracks), {track: [] for track in tracks}  # type: ignore[var-annotated]
+    for other in range(max(place - AROUND, 0), min(place + AROUND + 1, len(drive.indices))):
+        frame = int(drive.indices[other])
+        rows = [row for row in centres(frame) if row[0] in wanted]
+        if rows:
+            here = _seen_from(drive, place, other, np.array([row[1:] for row in rows]))
+            for row, (x, y, z) in zip(rows, here.tolist(), strict=True):
+                found[row[0]].append((frame, x, y, z))
+    return tuple(Trail(set=name, track=track, points=tuple(points)) for track, points in found.items() if points)
+
+
+def _seen_from(drive: Drive, place: int, other: int, centres_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    if drive.world_T_frame is None or place == other:
+        return centres_m
+    return transform_points(invert(drive.world_T_frame[place]) @ drive.world_T_frame[other], centres_m)
+
+
+_MAX_BYTES = 16 << 20
+
+
+def data_folder() -> Path:
+    """The user's data folder of Farfield, ``XDG_DATA_HOME/farfield`` or ``~/.local/share/farfield``."""
+    given = os.environ.get("XDG_DATA_HOME", "")
+    return (Path(given) if given else Path.home() / ".local" / "share") / "farfield"
+
+
+class BookmarkStore:
+    """Frames to come back to.
+
+    Args:
+        root: Folder of the data set.
+        keys: (sequence, frame) of its frames, by which bookmarks are kept: numbers change as frames are added.
+        folder: Where they are kept; the user's data folder unless given.
+    """
+
+    def __init__(self, root: Path, keys: tuple[Key, ...], folder: Path | None = None) -> None:
+        name = hashlib.blake2b(str(root.resolve()).encode(), digest_size=8).hexdigest()
+        self.path = (folder or data_folder() / "bookmarks") / f"{name}.json"
+        self._keys = keys
+        self._index = {key: index for index, key in enumerate(keys)}
+        self._rows: dict[Key, tuple[str, str]] = self._read()
+
+    def _read(self) -> dict[Key, tuple[str, str]]:
+        if not self.path.is_file():
+            return {}
+        try:
+            rows = json.loads(read_bytes(self.path, max_bytes=_MAX_BYTES))["bookmarks"]
+            return {(str(r["sequence"]), str(r["frame"])): (str(r["note"]), str(r["by"])) for r in rows}
+        except (ValueError, KeyError, TypeError) as error:
+            expected = "bookmarks"
+            raise FileFormatError(self.path, where="the file", expected=expected, found=plain(error)) from error
+
+    def set(self, frame: int, note: str | None, by: str) -> None:
+        """Set the bookmark of a frame; None takes it away. Written at once."""
+        key = self._keys[frame]
+        if note is None:
+            self._rows.pop(key, None)
+        else:
+            self._rows[key] = note, by
+        rows = [{"sequence": key[0], "frame": key[1], "note": note, "by": by} for key, (note, by) in self._rows.items()]
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(self.path, json.dumps({"bookmarks": rows}, indent=1) + "\n")
+
+    def rows(self) -> tuple[Bookmark, ...]:
+        """The bookmarks of the frames that are there, in their order."""
+        found = [(self._index[key], *rest) for key, rest in self._rows.items() if key in self._index]
+        return tuple(Bookmark(frame=frame, note=note, by=by) for frame, note, by in sorted(found))

@@ -10,10 +10,9 @@ from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.studio.calibrating.camera_task import CameraTask
 from farfield.studio.calibrating.radar_task import RadarTask
-from farfield.studio.calibrating.task import CalibrationSolution, CalibrationTask, Pick, Snapshot
-from farfield.studio.calibrating.values import Values, radar_values
+from farfield.studio.calibrating.task import CalibrationSolution, CalibrationTask, Pick, Snapshot, Values, radar_values
 from farfield.studio.messages.calibration import MOST_PICKS, CalibState, CameraValues, PickRow, RadarValues
-from farfield.studio.settings import CalibrationSettings
+from farfield.studio.options import CalibrationSettings
 from farfield.studio.showing.layers import camera_model
 from farfield.studio.showing.opened import plain_error
 
