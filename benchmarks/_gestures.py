@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from farfield.annotation.annotator import sensor_place
 from farfield.annotation.fitting import BoxFit, Prior, fit_click, fit_drag, prior_of, refit
 from farfield.frame import Boxes, Frame
 from farfield.geometry.boxes import box_coordinates_m, points_in_boxes
 from farfield.geometry.iou import paired_iou
-from farfield.studio.annotating.fits import sensor_place
 from farfield.vocabulary.sizes import VEHICLE_KINDS
 
 LEAST_POINTS, LEAST_FOR_MEDIAN = 3, 5

@@ -9,7 +9,7 @@ import numpy as np
 from _gestures import Subject, pressed
 from _studio_screen import Screen
 
-from farfield.studio.showing.rows import our_class
+from farfield.annotation.schema import cirrus_class
 
 DRAG_M = {True: 3.0, False: 1.5}  # vehicles, and what is small
 _PIXELS_A_METRE = {True: 24.0, False: 60.0}
@@ -160,7 +160,7 @@ def word_of(classes: Sequence[dict[str, Any]], label: str) -> str:
     Raises:
         StopIteration: If there is none.
     """
-    return next(row["name"] for row in classes if row["name"] == label or our_class(row["name"]) == label)
+    return next(row["name"] for row in classes if row["name"] == label or cirrus_class(row["name"]) == label)
 
 
 def kind_of(classes: Sequence[dict[str, Any]], name: str, length_m: float) -> str:

@@ -102,8 +102,8 @@ def test_a_damaged_line_stops_and_lets_go(tmp_path: Path) -> None:
 
 def test_a_second_process_is_refused_with_the_first_ones_number(tmp_path: Path) -> None:
     code = (
-        "import sys, pathlib\nfrom farfield.annotation.journal import Journal\n"
-        "with Journal(pathlib.Path(sys.argv[1]), print):\n    print('open', flush=True)\n    sys.stdin.read()"
+        "import sys, pathlib\nfrom farfield.annotation.journal import EditJournal\n"
+        "with EditJournal(pathlib.Path(sys.argv[1]), print):\n    print('open', flush=True)\n    sys.stdin.read()"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as first:

@@ -1,4 +1,4 @@
-// Made by `python -m farfield.studio.protocol`; do not edit. Metres, radians; int64 nanoseconds are strings.
+// Made by `python tools/page_protocol.py`; do not edit. Metres, radians; int64 nanoseconds are strings.
 
 /** Of these messages; the server sends pages of another version away. */
 export const VERSION = 1;

@@ -1,5 +1,6 @@
 """Where a frame stands in its drive, when, and from where it was seen."""
 
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -99,7 +100,7 @@ class TrackIndex:
         self._rows, self._drives = rows, drives
         self._tracks: dict[str, dict[str, set[TrackBox]]] = {}
 
-    def seen(self, drive: str, track: str) -> list[TrackBox]:
+    def boxes(self, drive: str, track: str) -> list[TrackBox]:
         """Boxes of a track in the order of time; of one frame by name."""
         return sorted(self._loaded(drive).get(track, ()))
 
@@ -147,3 +148,39 @@ def _add(tracks: dict[str, set[TrackBox]], track: str, seen: TrackBox) -> None:
 def _by_number(track: str) -> tuple[int, int, str]:
     number = track.isascii() and track.isdigit() and len(track) < 18
     return (0, int(track), "") if number else (1, 0, track)
+
+
+_SPELT = 2**30
+"""Tracks whose name is no number get numbers from here on, in the order in which they occur."""
+
+
+class TrackNumbers:
+    """Both ways between a track's name in the label files and a number, by which pages and tables know it."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+        self._names: dict[int, str] = {}
+        self._lock = threading.Lock()
+
+    def number(self, name: str) -> int | None:
+        """Number of a track; None for none.
+
+        >>> tracks = TrackNumbers()
+        >>> tracks.number("17"), tracks.number(""), tracks.name(tracks.number("a9")), tracks.number("007") == 7
+        (17, None, 'a9', False)
+        """
+        if not name:
+            return None
+        if name.isascii() and name.isdigit() and len(name) < 10 and str(int(name)) == name and int(name) < _SPELT:
+            return int(name)
+        with self._lock:
+            if name not in self._numbers:
+                self._numbers[name] = _SPELT + len(self._numbers)
+                self._names[self._numbers[name]] = name
+            return self._numbers[name]
+
+    def name(self, number: int | None) -> str:
+        """Name of a track; empty for none."""
+        if number is None:
+            return ""
+        return self._names.get(number, str(number))

@@ -101,7 +101,7 @@ def locked_size(store: Store, key: Key, name: str, new: Value) -> list[CellEdit]
         return []
     size = [float(length) for length in new["box"][3:6]]
     changes = [store.change(cell, {**track, "size": size})]
-    for seen in store.tracks.seen(drive, new["track"]):
+    for seen in store.tracks.boxes(drive, new["track"]):
         if (seen.key, seen.name) != (key, name):
             other = box_cell(seen.key, seen.name)
             changes.append(store.change(other, resized(store.value(other), size)))
@@ -195,7 +195,7 @@ def moments(store: Store, keys: Iterable[Key]) -> list[TrackFrame]:
 
 def boxes_of(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
     """The boxes of a track that stand (rejected ones left out): row in the drive, frame, box; in the order of time."""
-    found = [(seen.row, seen.key, store.row(seen.key, seen.name)) for seen in store.tracks.seen(drive, track)]
+    found = [(seen.row, seen.key, store.row(seen.key, seen.name)) for seen in store.tracks.boxes(drive, track)]
     return [(row, key, box) for row, key, box in found if box is not None and box.label.state != "rejected"]
 
 

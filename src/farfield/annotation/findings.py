@@ -76,7 +76,7 @@ def findings(
 
 def course(store: Store, drive: str, track: str, row: int) -> NearbyTrack:
     """A track in the frames around one; of two boxes in one frame the first counts."""
-    seen = store.tracks.seen(drive, track)
+    seen = store.tracks.boxes(drive, track)
     near = {each.row: each for each in reversed(seen) if abs(each.row - row) <= AROUND}
     found: list[tuple[TrackFrame, StoredBox]] = []
     for each in (near[place] for place in sorted(near)):

@@ -5,6 +5,8 @@ back, keep their bytes.
 """
 
 import os
+import re
+import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +16,14 @@ from farfield.annotation.label_files import digest
 from farfield.annotation.store import Author, EditResult, Store
 from farfield.datasets.edits import CellEdit
 from farfield.datasets.labels import BoxLabel, LabelFormat
+from farfield.datasets.labels.choosing import label_files_in
 from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_bytes, write_text
 from farfield.frame import Key
 
 SAVE = "save"
+FORMATS = ("boxes-csv", "openlabel", "sustechpoints", "cvat")
+"""In which labels of any data set can be saved, beside its own."""
 MARK = ".farfield-saved"
 WRITTEN = ("edited", "accepted")
 """States of boxes that label files get; proposals that nobody accepted, and rejected ones, stay in the journal."""
@@ -36,6 +41,90 @@ class SavedLabels(NamedTuple):
     folder: Path
     files: tuple[Path, ...]
     done: EditResult
+
+
+class SaveSummary(NamedTuple):
+    """What a save wrote: how many files, where in words, the number of the journal's note."""
+
+    files: int
+    folder: str
+    seq: int
+
+
+def save(
+    store: Store, author: Author, id: str, *, target: Path | None, folder: str | None = None, format: str = ""
+) -> SaveSummary:
+    """Write the label files as the annotation stands.
+
+    Args:
+        store: The annotation.
+        author: Who saves.
+        id: The client's name of the save.
+        target: The usual folder, see :func:`save_target`; None for the label files in their places.
+        folder: A name beside the usual folder; None for the usual one.
+        format: Another format than the labels' own; empty for their own.
+
+    Raises:
+        FarfieldError: If a box cannot be written in the format, or the folder holds something else.
+    """
+    if folder is not None:
+        target = _sibling(store, folder, target)
+    if format and format != store.files.format.name:
+        export = (target or store.folder / "saved") / f"labels-{format}"
+        paths = export_labels(store, _label_files(store, export, format), store.keys)
+        return SaveSummary(len(paths), export.name, store.state.seq)
+    if target is None:
+        saved = save_in_place(store, author, id)
+        return SaveSummary(len(saved.files), "the data set's label files", saved.done.record.seq)
+    saved = save_copy(store, author, id, target)
+    return SaveSummary(len(saved.files), target.name, saved.done.record.seq)
+
+
+def save_target(store: Store, out: Path | None, *, write: bool = False) -> Path | None:
+    """Where saves go: None for the label files in their places.
+
+    Args:
+        store: The annotation.
+        out: The folder asked for, if any.
+        write: Whether the label files in their places were asked for.
+    """
+    if out is not None:
+        return out
+    return None if write else save_place(store)
+
+
+def _sibling(store: Store, name: str, target: Path | None) -> Path:
+    """A folder of a name beside the usual one, never outside of it."""
+    parent = (target.parent if target is not None else store.folder).resolve()
+    folder = (parent / name).resolve()
+    if re.fullmatch(r"\.+", name) or not folder.is_relative_to(parent) or folder == parent:
+        raise ConfigError(f"save: expected the name of a folder, got {name!r}")
+    return folder
+
+
+def _label_files(store: Store, folder: Path, format: str) -> LabelFormat:
+    if format not in FORMATS:
+        raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    path = folder / "labels.csv" if format == "boxes-csv" else folder
+    return label_files_in(path, format, reference=store.data[0].reference)
+
+
+def pack(store: Store, format: str, frames: Sequence[int], folder: Path, target: Path) -> int:
+    """Write frames in a format and pack the files; gives how many there are.
+
+    Args:
+        store: The annotation.
+        format: One of :data:`FORMATS`.
+        frames: Numbers of the frames; none for all.
+        folder: Where the files are made.
+        target: The ZIP file.
+    """
+    keys = [store.keys[index] for index in frames if index < len(store.keys)] if frames else list(store.keys)
+    paths = export_labels(store, _label_files(store, folder, format), keys)
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in paths:
+            archive.write(path, path.relative_to(folder))
+    return len(paths)
 
 
 def written_labels(store: Store, key: Key) -> tuple[BoxLabel, ...]:

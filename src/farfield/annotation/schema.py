@@ -14,7 +14,7 @@ Attributes:
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -22,6 +22,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from farfield.datasets.labels import Value
 from farfield.errors import ConfigError, fault_of, plain
 from farfield.files.atomic import read_bytes, write_text
+from farfield.vocabulary.classes import (
+    CIRRUS_CLASSES,
+    CIRRUS_FROM_ANY_KRADAR,
+    CIRRUS_FROM_ARGOVERSE2,
+    CIRRUS_FROM_KITTI,
+    CIRRUS_FROM_KRADAR,
+    CIRRUS_FROM_VIEW_OF_DELFT,
+    KRADAR_FROM_CIRRUS,
+)
+from farfield.vocabulary.sizes import CIRRUS_SIZES_M, SMALL_KINDS, VEHICLE_KINDS
 
 SCHEMA = "classes.yaml"
 MAX_BYTES = 1 << 20
@@ -126,3 +136,88 @@ def save_schema(folder: Path, schema: Schema) -> None:
     """Write the schema beside a journal."""
     kept = schema.model_dump(mode="json", exclude_defaults=True)
     write_text(folder / SCHEMA, yaml.safe_dump(kept, sort_keys=False, allow_unicode=True))
+
+
+# The classes that a data set offers, with preset sizes.
+
+_TYPES = ("van", "box truck", "bus")
+_SPELLINGS = CIRRUS_FROM_ARGOVERSE2 | CIRRUS_FROM_VIEW_OF_DELFT | CIRRUS_FROM_KITTI | CIRRUS_FROM_ANY_KRADAR
+_OWN_WORDS = {"kradar": CIRRUS_FROM_KRADAR, "kitti": CIRRUS_FROM_KITTI}
+
+
+class ClassPreset(NamedTuple):
+    """A class on offer.
+
+    Args:
+        name: Its name.
+        size_m: Usual length, width, height.
+        types: Sizes of kinds within the class.
+    """
+
+    name: str
+    size_m: tuple[float, float, float]
+    types: Mapping[str, tuple[float, float, float]]
+
+
+def cirrus_class(name: str) -> str:
+    """A class in Cirrus's words, whichever data set spells it; a name that none has stays as it is.
+
+    >>> cirrus_class("Sedan"), cirrus_class("Car"), cirrus_class("vehicle"), cirrus_class("tank")
+    ('vehicle', 'vehicle', 'vehicle', 'tank')
+    """
+    return name if name in CIRRUS_CLASSES else _SPELLINGS.get(name, name)
+
+
+def preset_size(name: str) -> tuple[float, float, float]:
+    """Usual size of a class or of a type of vehicle; a car's for an unknown name."""
+    size_m = VEHICLE_KINDS.get(name) or SMALL_KINDS.get(name)
+    return size_m or CIRRUS_SIZES_M.get(cirrus_class(name), CIRRUS_SIZES_M["vehicle"])
+
+
+def class_preset(name: str, size_of: str = "") -> ClassPreset:
+    """A class by its name, with the types of large vehicles.
+
+    Args:
+        name: Its name.
+        size_of: The class whose usual size it has, such as K-Radar's name of it; its own unless given.
+    """
+    types = {kind: VEHICLE_KINDS[kind] for kind in _TYPES} if cirrus_class(name) == "large_vehicle" else {}
+    return ClassPreset(name, preset_size(size_of or name), types)
+
+
+def shown_classes(format_name: str, classes: Sequence[str] = ()) -> tuple[ClassPreset, ...]:
+    """The classes of a data set that is looked at, in Cirrus's words.
+
+    Args:
+        format_name: Its format; K-Radar's own sizes differ from Cirrus'.
+        classes: ``name:length,width,height`` of classes to offer instead.
+
+    Raises:
+        ConfigError: If one of those classes is not of this form.
+    """
+    if classes:
+        return tuple(_parse_class(text) for text in classes)
+    kradar = format_name == "kradar"
+    return tuple(
+        class_preset(name, KRADAR_FROM_CIRRUS.get(name, name) if kradar and name != "trailer" else name)
+        for name in CIRRUS_SIZES_M
+    )
+
+
+def annotated_classes(format_name: str, classes: Sequence[str] = ()) -> tuple[ClassPreset, ...]:
+    """The classes of a data set that is annotated, as its label files spell them; arguments as above."""
+    names = _OWN_WORDS.get(format_name)
+    if classes or names is None:
+        return shown_classes(format_name, classes)
+    return tuple(map(class_preset, names))
+
+
+def _parse_class(text: str) -> ClassPreset:
+    name, _, lengths = text.partition(":")
+    try:
+        length, width, height = map(float, lengths.split(","))
+    except ValueError:
+        raise ConfigError(f"classes: expected name:length,width,height in metres, got {text!r}") from None
+    if not name or not all(0 < value <= 60 for value in (length, width, height)):
+        raise ConfigError(f"classes: expected a name and sizes up to 60 m, got {text!r}")
+    return ClassPreset(name, (length, width, height), {})

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from farfield.annotation.annotator import offered_classes
 from farfield.annotation.edits import add_box
 from farfield.annotation.errors import RefusedError
 from farfield.annotation.store import Author
 from farfield.datasets import open_dataset
 from farfield.errors import ConfigError
-from farfield.studio.annotating.annotation import AnnotationService
-from farfield.studio.annotating.opening import offered_classes
 from farfield.studio.options import StudioSettings
+from farfield.studio.showing.annotations import AnnotationService
 from farfield.studio.showing.opened import OpenedDataset
 
 TANK = (7.0, 3.0, 2.5)

@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -7,7 +9,6 @@ pytest.importorskip("pydantic")
 from farfield.errors import ConfigError
 from farfield.studio.messages.replies import Ack, Job, write_reply
 from farfield.studio.messages.requests import BoxSet, read_request
-from farfield.studio.protocol import typescript
 
 VALUE = {"box": [10, 2.5, 0.8, 4.6, 1.9, 1.7, 0.3], "class_name": "vehicle", "track": 3}
 SET = {"op": "box.set", "id": "w1-1", "frame": 0, "box": "b1", "base": 2, "value": VALUE}
@@ -68,7 +69,10 @@ def test_replies_are_json_without_nan():
 
 
 def test_the_page_has_the_types_of_today():
-    stands = Path(__file__).parents[3] / "web" / "src" / "protocol.ts"
-    if not stands.exists():
+    root = Path(__file__).parents[3]
+    if not (root / "web" / "src" / "protocol.ts").exists():
         pytest.skip("no web/ beside these tests")
-    assert stands.read_text() == typescript(), "run: python -m farfield.studio.protocol > web/src/protocol.ts"
+    command = [sys.executable, str(root / "tools" / "page_protocol.py")]
+    types = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    stored = (root / "web" / "src" / "protocol.ts").read_text()
+    assert stored == types, "run: python tools/page_protocol.py > web/src/protocol.ts"

@@ -17,9 +17,9 @@ from farfield.errors import FarfieldError
 from farfield.studio.messages.replies import VERSION, Bye, Refused, Reply, write_reply
 from farfield.studio.messages.requests import Edit, Hello, Redo, Undo, read_request
 from farfield.studio.serving.guard import App
+from farfield.studio.session import annotating, calibrating, detecting, exporting, viewing
 from farfield.studio.session.frame_cache import first_of
 from farfield.studio.session.session import ClientWindow, Session
-from farfield.studio.session.viewing import welcome
 from farfield.studio.showing.opened import STATIC, Payload, plain_error
 from farfield.studio.threads import ThreadGroup
 
@@ -33,15 +33,17 @@ _KINDS = {
     ".json": "application/json",
     ".woff2": "font/woff2",
 }
+HANDLER_MODULES = (annotating, calibrating, detecting, exporting, viewing)
+"""Importing them registers what answers the page's messages."""
 _PAGES = ("index.html", "calibrate.html")
 _NO_PAGE = "The page is not built: run `npm ci && npm run build` in web/, or install a wheel, which holds it."
 
 
-def make_app(desk: Session, *, static: Path = STATIC) -> App:
+def make_app(session: Session, *, static: Path = STATIC) -> App:
     """The application; who may speak to it is its :class:`~farfield.studio.serving.guard.Guard`'s business.
 
     Args:
-        desk: What is open, and who is at it.
+        session: What is open, and who is at it.
         static: Folder of the built page.
     """
     routes = [
@@ -56,7 +58,7 @@ def make_app(desk: Session, *, static: Path = STATIC) -> App:
         Route("/{name:str}", _static),
     ]
     app = Starlette(routes=routes, exception_handlers={FarfieldError: _refused, Exception: _failed})
-    app.state.desk, app.state.readers = desk, ThreadGroup(4, "read")
+    app.state.session, app.state.readers = session, ThreadGroup(4, "read")
     app.state.files = _files(static)
     return app
 
@@ -68,12 +70,12 @@ def _files(static: Path) -> dict[str, Path]:
 
 
 async def _health(request: Request) -> Response:
-    return JSONResponse({"status": "ok", "version": VERSION, "ready": request.app.state.desk.ready})
+    return JSONResponse({"status": "ok", "version": VERSION, "ready": request.app.state.session.ready})
 
 
 async def _static(request: Request) -> Response:
     name = request.path_params.get("name", "index.html")
-    if name == "index.html" and request.app.state.desk.settings.mode == "calibrate":
+    if name == "index.html" and request.app.state.session.settings.mode == "calibrate":
         name = "calibrate.html"
     if name == "index.html" and request.query_params.get("frame", "0").rpartition("/")[1]:
         return _numbered(request)
@@ -86,9 +88,9 @@ async def _static(request: Request) -> Response:
 
 def _numbered(request: Request) -> Response:
     """Send a link to ``?frame=sequence/frame``, as reports have it, on to the frame's number."""
-    desk: Session = request.app.state.desk
+    session: Session = request.app.state.session
     try:
-        index = first_of(request.query_params["frame"], desk.book.data) if desk.ready else 0
+        index = first_of(request.query_params["frame"], session.frames.data) if session.ready else 0
     except FarfieldError:
         index = 0
     rest = {name: value for name, value in request.query_params.items() if name == "test"}
@@ -98,13 +100,13 @@ def _numbered(request: Request) -> Response:
 async def _layer(request: Request) -> Response:
     frame, layer = request.path_params["frame"], request.path_params["layer"]
     sweeps = _number(request, "sweeps", 1, 1, 20)
-    return await _payload(request, lambda desk: desk.opened.cloud(frame, layer, sweeps))
+    return await _payload(request, lambda session: session.opened.cloud(frame, layer, sweeps))
 
 
 async def _image(request: Request) -> Response:
     frame, layer = request.path_params["frame"], request.path_params["layer"]
     exact = request.query_params.get("exact") == "1"
-    return await _payload(request, lambda desk: desk.opened.picture(frame, layer, exact=exact))
+    return await _payload(request, lambda session: session.opened.picture(frame, layer, exact=exact))
 
 
 async def _radar(request: Request) -> Response:
@@ -112,19 +114,19 @@ async def _radar(request: Request) -> Response:
     if kind not in ("bev", "bfs"):
         return PlainTextResponse("radar: expected bev or bfs", 404)
     low, high = _metres(request, "low", 0.0), _metres(request, "high", float("inf"))
-    return await _payload(request, lambda desk: desk.opened.radar_map(frame, kind, low, high))
+    return await _payload(request, lambda session: session.opened.radar_map(frame, kind, low, high))
 
 
 async def _shot(request: Request) -> Response:
-    desk: Session = request.app.state.desk
+    session: Session = request.app.state.session
     body = await request.body()
-    name = await in_thread(request, lambda: desk.exports.keep(body))
+    name = await in_thread(request, lambda: session.exports.keep(body))
     return JSONResponse({"shot": name}, 201)
 
 
 async def _export(request: Request) -> Response:
-    desk: Session = request.app.state.desk
-    found = desk.exports.result(request.path_params["job"])
+    session: Session = request.app.state.session
+    found = session.exports.result(request.path_params["job"])
     if found is None:
         return PlainTextResponse("There is no such file; exports live as long as the studio runs.", 404)
     body = await in_thread(request, found.path.read_bytes)
@@ -133,10 +135,10 @@ async def _export(request: Request) -> Response:
 
 
 async def _payload(request: Request, make: Callable[[Session], Payload]) -> Response:
-    desk: Session = request.app.state.desk
-    if not desk.ready:
+    session: Session = request.app.state.session
+    if not session.ready:
         return PlainTextResponse("The data set is still being opened.", 503)
-    return await in_thread(request, lambda: _answer(request, make(desk)))
+    return await in_thread(request, lambda: _answer(request, make(session)))
 
 
 def _answer(request: Request, payload: Payload) -> Response:
@@ -168,7 +170,7 @@ def _metres(request: Request, name: str, usual: float) -> float:
 
 
 async def _refused(request: Request, error: Exception) -> Response:
-    data = request.app.state.desk.data
+    data = request.app.state.session.data
     return PlainTextResponse(plain_error(error, data), 404 if request.method == "GET" else 400)
 
 
@@ -217,24 +219,24 @@ class Bucket:
 
 async def socket(connection: WebSocket) -> None:
     """Serve one window until it goes."""
-    desk: Session = connection.app.state.desk
+    session: Session = connection.app.state.session
     await connection.accept()
-    window = await _greeted(connection, desk)
+    window = await _greeted(connection, session)
     if window is None:
         return
     sending = asyncio.create_task(_send(connection, window))
     try:
-        await desk.join(window, welcome)
-        await _receive(connection, desk, window)
+        await session.join(window, viewing.welcome)
+        await _receive(connection, session, window)
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:
         sending.cancel()
         await asyncio.gather(sending, return_exceptions=True)
-        desk.leave(window)
+        session.leave(window)
 
 
-async def _greeted(connection: WebSocket, desk: Session) -> ClientWindow | None:
+async def _greeted(connection: WebSocket, session: Session) -> ClientWindow | None:
     """The window, once it has said hello; None if it was sent away."""
     try:
         hello = read_request(await asyncio.wait_for(connection.receive_text(), _HELLO_S))
@@ -242,20 +244,22 @@ async def _greeted(connection: WebSocket, desk: Session) -> ClientWindow | None:
         hello = None
     except WebSocketDisconnect:
         return None
-    reason = _why_not(hello, desk)
+    reason = _why_not(hello, session)
     if reason:
         await _sent_away(connection, reason)
         return None
-    return ClientWindow(id=desk.name_of(hello.window), annotator=hello.annotator or desk.annotator, room=_WAITING)
+    return ClientWindow(
+        id=session.window_name(hello.window), annotator=hello.annotator or session.annotator, room=_WAITING
+    )
 
 
-def _why_not(hello: Any, desk: Session) -> str:
+def _why_not(hello: Any, session: Session) -> str:
     """Why a window is sent away; empty if it is not."""
     if not isinstance(hello, Hello):
         return "expected hello as the first message"
     if hello.version != VERSION:
         return "the page is of another version of the studio: reload it"
-    if len(desk.windows) >= WINDOWS:
+    if len(session.windows) >= WINDOWS:
         return f"{WINDOWS} windows are open, and no more are served: close one"
     return ""
 
@@ -274,7 +278,7 @@ async def _send(connection: WebSocket, window: ClientWindow) -> None:
             return
 
 
-async def _receive(connection: WebSocket, desk: Session, window: ClientWindow) -> None:
+async def _receive(connection: WebSocket, session: Session, window: ClientWindow) -> None:
     bucket, bad = Bucket(), 0
     while True:
         try:
@@ -292,7 +296,7 @@ async def _receive(connection: WebSocket, desk: Session, window: ClientWindow) -
         if isinstance(request, Edit | Undo | Redo) and not bucket.take():
             window.send(_too_fast(request.id))
             continue
-        await desk.handle(window, request)
+        await session.handle(window, request)
 
 
 def _too_fast(name: str) -> Reply:

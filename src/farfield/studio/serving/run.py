@@ -17,7 +17,6 @@ import uvicorn
 from farfield.errors import ConfigError
 from farfield.studio.options import StudioSettings
 from farfield.studio.serving.guard import AccessTokens, App, Guard, Receive, Scope, Send, answer
-from farfield.studio.session.session import ClientWindow
 from farfield.vocabulary.studio import STUDIO_PORT
 
 if TYPE_CHECKING:
@@ -31,11 +30,8 @@ _TRIED = 50
 Say = Callable[[str], None]
 
 
-# Listening before anything heavy is imported: what is asked meanwhile waits, and ``/health`` says how far it is.
-
-
 class DeferredApp:
-    """An application that comes later."""
+    """Listens before anything heavy is imported: requests wait for the application, and ``/health`` says so."""
 
     def __init__(self) -> None:
         self._app: App | None = None
@@ -119,11 +115,11 @@ async def serving(
     ended: asyncio.Event | None = None,
 ) -> None:
     """Serve on a socket that listens, until Ctrl-C or until ``ended`` is set; arguments as of :func:`serve`."""
-    late, entry = DeferredApp(), AccessTokens(listener.getsockname()[1])
-    server = _Server(_config(Guard(late, entry)))
+    deferred, entry = DeferredApp(), AccessTokens(listener.getsockname()[1])
+    server = _Server(_config(Guard(deferred, entry)))
     tasks = [
         asyncio.create_task(server.serve(sockets=[listener])),
-        asyncio.create_task(_open(server, late, open_data, settings)),
+        asyncio.create_task(_open(server, deferred, open_data, settings)),
     ]
     running, opening = tasks
     if ended is not None:
@@ -143,8 +139,8 @@ async def serving(
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            if server.desk is not None:
-                await _closed(server.desk)
+            if server.session is not None:
+                await _save_and_close(server.session)
 
 
 def _config(app: App) -> uvicorn.Config:
@@ -166,53 +162,51 @@ def _config(app: App) -> uvicorn.Config:
 class _Server(uvicorn.Server):
     """Says goodbye to the windows before it stops."""
 
-    desk: "Session | None" = None
+    session: "Session | None" = None
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Say goodbye, then stop."""
-        if self.desk is not None:
-            self.desk.goodbye("the studio was ended in its terminal")
+        if self.session is not None:
+            self.session.goodbye("the studio was ended in its terminal")
             await asyncio.sleep(0.05)
         await super().shutdown(sockets)
 
 
 async def _open(
-    server: _Server, late: DeferredApp, open_data: "Callable[[], Dataset]", settings: StudioSettings
+    server: _Server, deferred: DeferredApp, open_data: "Callable[[], Dataset]", settings: StudioSettings
 ) -> None:
     """Import what is heavy, open the data set, and let the windows in."""
-    desk, app = await asyncio.to_thread(_made, settings)
-    server.desk = desk
-    late.take(app)
-    await desk.in_thread(lambda: desk.open(open_data()))
-    desk.let_in()
-    if desk.annotating is not None:
-        from farfield.studio.session.editing import autosave
+    session, app = await asyncio.to_thread(_session_and_app, settings)
+    server.session = session
+    deferred.take(app)
+    await session.in_thread(lambda: session.open(open_data()))
+    session.let_in()
+    if session.annotating is not None:
+        from farfield.studio.session.annotating import autosave
 
-        desk.aside(ClientWindow(id="", annotator=""), None, autosave(desk))
-        desk.aside(ClientWindow(id="", annotator=""), None, _warmed())
+        session.aside(None, None, autosave(session))
+        session.aside(None, None, _import_scipy())
 
 
-async def _warmed() -> None:
+def _session_and_app(settings: StudioSettings) -> "tuple[Session, App]":
+    from farfield.studio.serving.app import make_app
+    from farfield.studio.session.session import Session
+
+    session = Session(settings)
+    return session, make_app(session)
+
+
+async def _import_scipy() -> None:
     """Import what the first fit would else wait for."""
     await asyncio.to_thread(import_module, "scipy.spatial")
 
 
-async def _closed(desk: "Session") -> None:
-    """Save what is to be saved and end."""
-    from farfield.studio.session.editing import save_now
+async def _save_and_close(session: "Session") -> None:
+    from farfield.studio.session.annotating import save_now
 
-    if desk.ready:
-        await save_now(desk)
-    await desk.close()
-
-
-def _made(settings: StudioSettings) -> "tuple[Session, App]":
-    from farfield.studio.serving.app import make_app
-    from farfield.studio.session.handlers import HANDLERS
-    from farfield.studio.session.session import Session
-
-    desk = Session(settings, HANDLERS)
-    return desk, make_app(desk)
+    if session.ready:
+        await save_now(session)
+    await session.close()
 
 
 def link(entry: AccessTokens) -> str:

@@ -11,10 +11,10 @@ from typing import TypeVar
 from farfield.errors import FarfieldError
 from farfield.studio.calibrating.service import CalibrationError, CalibrationService, CancelledError
 from farfield.studio.calibrating.task import CalibrationSolution
-from farfield.studio.messages import calibration as asked
+from farfield.studio.messages import calibration as requests
 from farfield.studio.messages.calibration import CalibResidual, CalibSaved
 from farfield.studio.messages.replies import Job
-from farfield.studio.session.session import ClientWindow, Handler, Session
+from farfield.studio.session.session import ClientWindow, Session, handles
 from farfield.studio.showing.opened import plain_error
 
 T = TypeVar("T")
@@ -24,27 +24,28 @@ _TOLD_S = 0.1
 """Progress is told at most so often."""
 
 
-def _known(desk: Session) -> CalibrationService:
-    if desk.calibrating is None:
+def _known(session: Session) -> CalibrationService:
+    if session.calibrating is None:
         mend = "start it as `farfield calibrate radar-lidar DATA --page`"
         raise CalibrationError("view", "this studio does not calibrate", mend)
-    return desk.calibrating
+    return session.calibrating
 
 
-def _ready(desk: Session) -> CalibrationService:
-    found = _known(desk)
+def _ready(session: Session) -> CalibrationService:
+    found = _known(session)
     if not found.ready:
         raise CalibrationError("reading", "the frames are still being read", "wait until they are")
     return found
 
 
-async def opened(desk: Session, window: ClientWindow, request: asked.CalibOpen) -> None:
+@handles(requests.CalibOpen)
+async def opened(session: Session, window: ClientWindow, request: requests.CalibOpen) -> None:
     """Tell the calibration; the first time, read the frames as a job."""
-    known = _known(desk)
+    known = _known(session)
     window.send(known.state(request.id))
     if known.ready or known.job is not None:
         return
-    _start(desk, window, request.id, "reading the frames", partial(_prepared, known))
+    _start(session, window, request.id, "reading the frames", partial(_prepared, known))
 
 
 def _prepared(known: CalibrationService, told: Callable[[float], None]) -> None:
@@ -53,140 +54,151 @@ def _prepared(known: CalibrationService, told: Callable[[float], None]) -> None:
     known.seq += 1
 
 
-async def matched(desk: Session, window: ClientWindow, request: asked.CalibMatch) -> None:
+@handles(requests.CalibMatch)
+async def matched(session: Session, window: ClientWindow, request: requests.CalibMatch) -> None:
     """Tell the residuals of some values."""
-    known = _ready(desk)
-    desk.opened.check(request.frame)
+    known = _ready(session)
+    session.opened.check(request.frame)
     values = known.wanted(request.radar, request.camera)
-    desk.aside(window, request.id, _residuals(desk, window, request, values))
+    session.aside(window, request.id, _residuals(session, window, request, values))
 
 
-async def _residuals(desk: Session, window: ClientWindow, request: asked.CalibMatch, values: object) -> None:
-    known, started = _ready(desk), time.monotonic()
+async def _residuals(session: Session, window: ClientWindow, request: requests.CalibMatch, values: object) -> None:
+    known, started = _ready(session), time.monotonic()
     there = replace(known.now, values=values)  # type: ignore[arg-type]
     work = partial(known.task.residuals, there, request.frame, full=request.full)
-    found = await desk.in_thread(work)
+    found = await session.in_thread(work)
     spent = round(1e3 * (time.monotonic() - started), 1)
     window.send(CalibResidual(id=request.id, frame=request.frame, residuals=found, milliseconds=spent))
 
 
-async def put(desk: Session, window: ClientWindow, request: asked.CalibSet) -> None:
+@handles(requests.CalibSet)
+async def put(session: Session, window: ClientWindow, request: requests.CalibSet) -> None:
     """Take values."""
     del window
-    known = _ready(desk)
+    known = _ready(session)
     known.set(request.base, known.wanted(request.radar, request.camera))
-    desk.tell(known.state(request.id))
+    session.broadcast(known.state(request.id))
 
 
-async def pick(desk: Session, window: ClientWindow, request: asked.CalibPick) -> None:
+@handles(requests.CalibPick)
+async def pick(session: Session, window: ClientWindow, request: requests.CalibPick) -> None:
     """Add a pair."""
     del window
-    known = _ready(desk)
+    known = _ready(session)
     known.pick(request.frame, request.point_m, request.pixel)
-    desk.tell(known.state(request.id))
+    session.broadcast(known.state(request.id))
 
 
-async def unpick(desk: Session, window: ClientWindow, request: asked.CalibUnpick) -> None:
+@handles(requests.CalibUnpick)
+async def unpick(session: Session, window: ClientWindow, request: requests.CalibUnpick) -> None:
     """Take a pair away, or leave it out or in."""
     del window
-    known = _ready(desk)
+    known = _ready(session)
     known.unpick(request.pick, request.used)
-    desk.tell(known.state(request.id))
+    session.broadcast(known.state(request.id))
 
 
-async def undo(desk: Session, window: ClientWindow, request: asked.CalibUndo) -> None:
+@handles(requests.CalibUndo)
+async def undo(session: Session, window: ClientWindow, request: requests.CalibUndo) -> None:
     """Undo or redo."""
     del window
-    known = _ready(desk)
+    known = _ready(session)
     known.undo(request.what)
-    desk.tell(known.state(request.id))
+    session.broadcast(known.state(request.id))
 
 
-async def solve(desk: Session, window: ClientWindow, request: asked.CalibSolve) -> None:
+@handles(requests.CalibSolve)
+async def solve(session: Session, window: ClientWindow, request: requests.CalibSolve) -> None:
     """Solve as a job."""
-    known = _ready(desk)
-    _start(desk, window, request.id, "solving", partial(_solved, known, request))
+    known = _ready(session)
+    _start(session, window, request.id, "solving", partial(_solved, known, request))
 
 
-def _solved(known: CalibrationService, request: asked.CalibSolve, told: Callable[[float], None]) -> CalibrationSolution:
+def _solved(
+    known: CalibrationService, request: requests.CalibSolve, told: Callable[[float], None]
+) -> CalibrationSolution:
     return known.task.solve(known.now, request.how, told, focal=request.focal)
 
 
-async def cancel(desk: Session, window: ClientWindow, request: asked.CalibCancel) -> None:
+@handles(requests.CalibCancel)
+async def cancel(session: Session, window: ClientWindow, request: requests.CalibCancel) -> None:
     """Stop a job."""
     del window
-    known = _known(desk)
+    known = _known(session)
     if known.job != request.job:
         raise CalibrationError("job", f"there is no job {request.job} that runs")
     known.cancel()
 
 
-async def save(desk: Session, window: ClientWindow, request: asked.CalibSave) -> None:
+@handles(requests.CalibSave)
+async def save(session: Session, window: ClientWindow, request: requests.CalibSave) -> None:
     """Write the calibration."""
-    known = _ready(desk)
-    desk.aside(window, request.id, _saved(desk, known, request))
+    known = _ready(session)
+    session.aside(window, request.id, _saved(session, known, request))
 
 
-async def _saved(desk: Session, known: CalibrationService, request: asked.CalibSave) -> None:
+async def _saved(session: Session, known: CalibrationService, request: requests.CalibSave) -> None:
     known.begin("save")
     try:
-        files, copies = await desk.in_thread(partial(known.save, request.to))
+        files, copies = await session.in_thread(partial(known.save, request.to))
     finally:
         known.end()
     names = tuple(tuple(known.shown(path) for path in paths) for paths in (files, copies))
-    desk.tell(CalibSaved(id=request.id, files=names[0], copies=names[1]))
-    desk.tell(known.state(request.id))
+    session.broadcast(CalibSaved(id=request.id, files=names[0], copies=names[1]))
+    session.broadcast(known.state(request.id))
 
 
-async def restore(desk: Session, window: ClientWindow, request: asked.CalibRestore) -> None:
+@handles(requests.CalibRestore)
+async def restore(session: Session, window: ClientWindow, request: requests.CalibRestore) -> None:
     """Put back what the last save replaced."""
     del window
-    known = _ready(desk)
-    files = await desk.in_thread(known.restore)
+    known = _ready(session)
+    files = await session.in_thread(known.restore)
     names = tuple(known.shown(path) for path in files)
-    desk.tell(CalibSaved(id=request.id, files=names, copies=(), restored=True))
-    desk.tell(known.state(request.id))
+    session.broadcast(CalibSaved(id=request.id, files=names, copies=(), restored=True))
+    session.broadcast(known.state(request.id))
 
 
 Work = Callable[[Callable[[float], None]], CalibrationSolution | None]
 
 
-def _start(desk: Session, window: ClientWindow, name: str, words: str, work: Work) -> None:
+def _start(session: Session, window: ClientWindow, name: str, words: str, work: Work) -> None:
     """Begin a job, if none runs."""
-    known = _known(desk)
+    known = _known(session)
     job = Job(id=name, job=f"calib-{next(_NUMBERS)}", kind="calibrate", state="running", total=_STEPS, message=words)
     known.begin(job.job)
-    desk.tell(job)
-    desk.aside(window, name, _run(desk, known, replace(job, message=""), work))
+    session.broadcast(job)
+    session.aside(window, name, _run(session, known, replace(job, message=""), work))
 
 
-async def _run(desk: Session, known: CalibrationService, job: Job, work: Work) -> None:
+async def _run(session: Session, known: CalibrationService, job: Job, work: Work) -> None:
     """Run a job with progress, and take what it finds; all windows are told."""
-    progress = _Progress(desk, known, job)
+    progress = _Progress(session, known, job)
     try:
-        found = await desk.in_thread(partial(work, progress.step))
+        found = await session.in_thread(partial(work, progress.step))
     except CancelledError:
-        desk.tell(replace(job, state="cancelled"))
+        session.broadcast(replace(job, state="cancelled"))
         return
     except FarfieldError as error:
-        desk.tell(replace(job, state="failed", message=plain_error(error, desk.data)))
+        session.broadcast(replace(job, state="failed", message=plain_error(error, session.data)))
         return
     except Exception:
-        desk.tell(replace(job, state="failed", message="the studio met an error of its own"))
+        session.broadcast(replace(job, state="failed", message="the studio met an error of its own"))
         raise
     finally:
         known.end()
     if found is not None:
         known.take(found)
-    desk.tell(replace(job, state="done", done=_STEPS, message=found.words if found else ""))
-    desk.tell(known.state(job.id))
+    session.broadcast(replace(job, state="done", done=_STEPS, message=found.words if found else ""))
+    session.broadcast(known.state(job.id))
 
 
 class _Progress:
     """Tells the windows how far a job is, from the thread in which it runs."""
 
-    def __init__(self, desk: Session, known: CalibrationService, job: Job) -> None:
-        self.desk, self.known, self.job = desk, known, job
+    def __init__(self, session: Session, known: CalibrationService, job: Job) -> None:
+        self.session, self.known, self.job = session, known, job
         self._loop = asyncio.get_running_loop()
         self._told = self._began = time.monotonic()
 
@@ -199,18 +211,4 @@ class _Progress:
         self._told = now
         left = (now - self._began) * (1 - share) / share if share > 0.02 else None
         done, eta = round(_STEPS * share), None if left is None else round(left, 1)
-        self._loop.call_soon_threadsafe(self.desk.tell, replace(self.job, done=done, eta_s=eta))
-
-
-HANDLERS: dict[type, Handler] = {
-    asked.CalibOpen: opened,
-    asked.CalibMatch: matched,
-    asked.CalibSet: put,
-    asked.CalibPick: pick,
-    asked.CalibUnpick: unpick,
-    asked.CalibUndo: undo,
-    asked.CalibSolve: solve,
-    asked.CalibCancel: cancel,
-    asked.CalibSave: save,
-    asked.CalibRestore: restore,
-}
+        self._loop.call_soon_threadsafe(self.session.broadcast, replace(self.job, done=done, eta_s=eta))

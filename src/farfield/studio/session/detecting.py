@@ -9,12 +9,12 @@ from farfield.errors import ConfigError
 from farfield.frame import Boxes
 from farfield.studio.inferring.jobs import InferJob, Jobs
 from farfield.studio.inferring.worker import Worker
-from farfield.studio.messages import requests as asked
+from farfield.studio.messages import requests
 from farfield.studio.messages.replies import Job, Predicted
 from farfield.studio.messages.rows import DetectorRow, PredictionSet
 from farfield.studio.options import StudioSettings
-from farfield.studio.session.editing import propose
-from farfield.studio.session.session import ClientWindow, Session
+from farfield.studio.session.annotating import propose
+from farfield.studio.session.session import ClientWindow, Session, handles
 from farfield.studio.showing.opened import plain_error
 from farfield.studio.showing.predictions import Predictions, colour
 
@@ -35,15 +35,17 @@ def offered(settings: StudioSettings) -> tuple[DetectorRow, ...]:
     return (*given, *(DetectorRow(name=name, title=name) for name in shipped if name and name not in known))
 
 
-def _jobs(desk: Session) -> Jobs:
-    if desk.jobs is None:
-        desk.jobs = Jobs(Worker(desk.book.data), _DetectionSink(desk), lambda job: desk.tell(_told(desk, job)))
-    return desk.jobs
+def _jobs(session: Session) -> Jobs:
+    if session.jobs is None:
+        session.jobs = Jobs(
+            Worker(session.frames.data), _DetectionSink(session), lambda job: session.broadcast(_told(session, job))
+        )
+    return session.jobs
 
 
-def _told(desk: Session, job: InferJob) -> Job:
-    found = desk.book.sets.get(set_name(job.detector))
-    message = plain_error(job.message, desk.data)
+def _told(session: Session, job: InferJob) -> Job:
+    found = session.frames.sets.get(set_name(job.detector))
+    message = plain_error(job.message, session.data)
     return replace(job.reply(), message=message, set=None if found is None else found.about)
 
 
@@ -52,53 +54,54 @@ def set_name(detector: str) -> str:
     return f"detector-{Path(detector).name}"
 
 
-def predictions_of(desk: Session, detector: str) -> Predictions:
+def predictions_of(session: Session, detector: str) -> Predictions:
     """The set that a detector fills, made when it first runs."""
     name = set_name(detector)
-    if name not in desk.book.sets:
+    if name not in session.frames.sets:
         about = PredictionSet(
             name=name,
             title=Path(detector).name,
             kind="detections",
-            protocol=desk.book.protocol,
-            colour=colour(len(desk.book.sets)),
+            protocol=session.frames.protocol,
+            colour=colour(len(session.frames.sets)),
         )
-        desk.book.sets[name] = Predictions(about)
-    return desk.book.sets[name]
+        session.frames.sets[name] = Predictions(about)
+    return session.frames.sets[name]
 
 
-def detect_shown(desk: Session, window: ClientWindow, frame: int) -> None:
+def detect_shown(session: Session, window: ClientWindow, frame: int) -> None:
     """Run the detectors named at the start on a frame that somebody looks at, unless that was done."""
-    key = desk.book.data.keys[frame]
-    for name in desk.settings.detectors:
-        known = desk.book.sets.get(set_name(name))
-        asked_for = desk.jobs is not None and any(
-            frame in job.frames and job.detector == name for job in desk.jobs.jobs.values()
+    key = session.frames.data.keys[frame]
+    for name in session.settings.detectors:
+        known = session.frames.sets.get(set_name(name))
+        asked_for = session.jobs is not None and any(
+            frame in job.frames and job.detector == name for job in session.jobs.jobs.values()
         )
         if not asked_for and (known is None or key not in known.boxes):
-            _start(desk, window, "", name, [frame])
+            _start(session, window, "", name, [frame])
 
 
-async def infer(desk: Session, window: ClientWindow, request: asked.InferStart) -> None:
+@handles(requests.InferStart)
+async def infer(session: Session, window: ClientWindow, request: requests.InferStart) -> None:
     """Run a detector on frames.
 
     Raises:
         ConfigError: If the detector is not on offer, or there are no such frames.
     """
-    if request.detector not in {row.name for row in offered(desk.settings)}:
+    if request.detector not in {row.name for row in offered(session.settings)}:
         raise ConfigError("infer: expected one of the detectors on offer; name others with --detector at the start")
-    desk.opened.check(request.first)
-    desk.opened.check(request.last)
+    session.opened.check(request.first)
+    session.opened.check(request.last)
     if request.last < request.first:
         raise ConfigError(f"infer: expected the last frame after the first, got {request.first} to {request.last}")
-    if request.propose and desk.annotating is None:
+    if request.propose and session.annotating is None:
         raise ConfigError("infer: boxes can be proposed in `farfield annotate` only")
     frames = list(range(request.first, request.last + 1))
-    _start(desk, window, request.id, request.detector, frames, request.threshold, request.propose)
+    _start(session, window, request.id, request.detector, frames, request.threshold, request.propose)
 
 
 def _start(
-    desk: Session,
+    session: Session,
     window: ClientWindow,
     name: str,
     detector: str,
@@ -106,7 +109,7 @@ def _start(
     threshold: float = 0.0,
     propose: bool = False,
 ) -> None:
-    predictions_of(desk, detector)
+    predictions_of(session, detector)
     job = InferJob(
         id=name,
         name=f"job-{next(_NUMBERS)}",
@@ -117,42 +120,45 @@ def _start(
         threshold=threshold,
         propose=propose,
     )
-    _jobs(desk).add(job)
+    _jobs(session).add(job)
 
 
-async def cancel(desk: Session, window: ClientWindow, request: asked.InferCancel) -> None:
+@handles(requests.InferCancel)
+async def cancel(session: Session, window: ClientWindow, request: requests.InferCancel) -> None:
     """Stop a job.
 
     Raises:
         ConfigError: If there is none of this name that still runs.
     """
     del window
-    if desk.jobs is None or not desk.jobs.cancel(request.job):
+    if session.jobs is None or not session.jobs.cancel(request.job):
         raise ConfigError("infer: there is no such job that still runs")
 
 
 class _DetectionSink:
     """Takes what was found in a frame: into its set, to the windows that show it, into the annotation."""
 
-    def __init__(self, desk: Session) -> None:
-        self.desk = desk
+    def __init__(self, session: Session) -> None:
+        self.session = session
 
     async def __call__(self, job: InferJob, index: int, boxes: Boxes) -> None:
-        desk = self.desk
+        session = self.session
         if boxes.score is not None:
-            boxes = boxes[boxes.score >= min(desk.settings.threshold, job.threshold or 1.0)]
-        found = predictions_of(desk, job.detector)
-        found.boxes[desk.book.data.keys[index]] = boxes
+            boxes = boxes[boxes.score >= min(session.settings.threshold, job.threshold or 1.0)]
+        found = predictions_of(session, job.detector)
+        found.boxes[session.frames.data.keys[index]] = boxes
         known = sorted({*found.about.classes, *map(str, boxes.label)})
         found.about = replace(found.about, frames=len(found.boxes), classes=tuple(known))
-        if job.propose and desk.annotating is not None:
-            await propose(desk, job, index, boxes)
-        for window in list(desk.windows.values()):
+        if job.propose and session.annotating is not None:
+            await propose(session, job, index, boxes)
+        for window in list(session.windows.values()):
             if window.frame == index:
                 await self._show(window, found, index)
 
     async def _show(self, window: ClientWindow, found: Predictions, index: int) -> None:
-        book = self.desk.book
-        shown = await self.desk.in_thread(lambda: book.predicted_by(found, index, book.boxes(index), window.threshold))
+        book = self.session.frames
+        shown = await self.session.in_thread(
+            lambda: book.predicted_by(found, index, book.boxes(index), window.threshold)
+        )
         if shown is not None:
             window.send(Predicted(frame=index, predicted=shown, set=found.about))

@@ -5,40 +5,41 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from farfield.annotation.saving import FORMATS, pack
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.animations import write_animation
 from farfield.files.atomic import write_text
-from farfield.studio.annotating.saves import FORMATS, pack
 from farfield.studio.exports import MOST_FRAMES, ExportedFile, standalone
-from farfield.studio.messages import requests as asked
+from farfield.studio.messages import requests
 from farfield.studio.messages.replies import FrameState, Job
 from farfield.studio.messages.rows import Layer
 from farfield.studio.options import StudioSettings
 from farfield.studio.session.frame_cache import FrameCache, first_of
-from farfield.studio.session.session import ClientWindow, Session
+from farfield.studio.session.session import ClientWindow, Session, handles
 from farfield.studio.session.viewing import welcome
 from farfield.studio.showing.opened import STATIC, plain_error
 
 _NUMBERS = itertools.count(1)
 
 
-async def export(desk: Session, window: ClientWindow, request: asked.Export) -> None:
+@handles(requests.Export)
+async def export(session: Session, window: ClientWindow, request: requests.Export) -> None:
     """Make a file; its link comes with the job that is done."""
     work = _film if request.kind in ("gif", "webp") else _page if request.kind == "html" else _labels
-    desk.aside(window, request.id, _made(desk, window, request, work))
+    session.aside(window, request.id, _made(session, window, request, work))
 
 
-Work = Callable[[Session, ClientWindow, asked.Export], tuple[str, ExportedFile]]
+Work = Callable[[Session, ClientWindow, requests.Export], tuple[str, ExportedFile]]
 
 
-async def _made(desk: Session, window: ClientWindow, request: asked.Export, work: Work) -> None:
+async def _made(session: Session, window: ClientWindow, request: requests.Export, work: Work) -> None:
     job = Job(id=request.id, job=f"make-{next(_NUMBERS)}", kind="export", state="running", total=1)
     window.send(job)
     try:
-        name, made = await desk.in_thread(lambda: work(desk, window, request))
+        name, made = await session.in_thread(lambda: work(session, window, request))
     except FarfieldError as error:
-        window.send(replace(job, state="failed", message=plain_error(error, desk.data)))
+        window.send(replace(job, state="failed", message=plain_error(error, session.data)))
         return
     except Exception:
         window.send(replace(job, state="failed", message="the studio met an error of its own"))
@@ -48,21 +49,21 @@ async def _made(desk: Session, window: ClientWindow, request: asked.Export, work
     window.send(replace(job, state="done", done=1, url=f"export/{name}", message=message))
 
 
-def _film(desk: Session, window: ClientWindow, request: asked.Export) -> tuple[str, ExportedFile]:
+def _film(session: Session, window: ClientWindow, request: requests.Export) -> tuple[str, ExportedFile]:
     del window
-    name, made = desk.exports.new(request.name, f".{request.kind}")
-    write_animation(made.path, desk.exports.shots(request.shots), rate_hz=request.rate_hz)
+    name, made = session.exports.new(request.name, f".{request.kind}")
+    write_animation(made.path, session.exports.shots(request.shots), rate_hz=request.rate_hz)
     return name, made
 
 
-def _page(desk: Session, window: ClientWindow, request: asked.Export) -> tuple[str, ExportedFile]:
-    text = page_of(desk, window, request.frames)
-    name, made = desk.exports.new(request.name, ".html")
+def _page(session: Session, window: ClientWindow, request: requests.Export) -> tuple[str, ExportedFile]:
+    text = page_of(session, window, request.frames)
+    name, made = session.exports.new(request.name, ".html")
     made.path.write_text(text, "utf-8")
     return name, made
 
 
-def page_of(desk: Session, window: ClientWindow, frames: tuple[int, ...]) -> str:
+def page_of(session: Session, window: ClientWindow, frames: tuple[int, ...]) -> str:
     """The HTML file of some frames.
 
     Raises:
@@ -70,10 +71,10 @@ def page_of(desk: Session, window: ClientWindow, frames: tuple[int, ...]) -> str
     """
     if len(frames) > MOST_FRAMES:
         raise ConfigError(f"html: expected at most {MOST_FRAMES} frames, got {len(frames)}: choose fewer")
-    states = [desk.book.state(index, window.threshold) for index in dict.fromkeys(frames)]
-    payloads = {layer.url: _body(desk.book, state, layer) for state in states for layer in state.layers}
+    states = [session.frames.state(index, window.threshold) for index in dict.fromkeys(frames)]
+    payloads = {layer.url: _body(session.frames, state, layer) for state in states for layer in state.layers}
     first = states[0].frame.index if states else 0
-    hello = replace(welcome(desk, window), mode="view", detectors=(), first=first, saves_to="", bookmarks=())
+    hello = replace(welcome(session, window), mode="view", detectors=(), first=first, saves_to="", bookmarks=())
     return standalone(STATIC, hello, states, payloads)
 
 
@@ -89,14 +90,14 @@ def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], p
     Raises:
         FarfieldError: If there is no such frame, there are too many, or the page is not built.
     """
-    desk = Session(settings, {})
+    session = Session(settings)
     try:
-        desk.open(data)
+        session.open(data)
         chosen = tuple(first_of(frame, data) for frame in frames or ("",))
-        write_text(path, page_of(desk, ClientWindow(id="file", annotator="", threshold=settings.threshold), chosen))
+        write_text(path, page_of(session, ClientWindow(id="file", annotator="", threshold=settings.threshold), chosen))
     finally:
-        desk.threads.end()
-        desk.exports.close()
+        session.threads.end()
+        session.exports.close()
 
 
 def _body(book: FrameCache, state: FrameState, layer: Layer) -> bytes:
@@ -108,11 +109,11 @@ def _body(book: FrameCache, state: FrameState, layer: Layer) -> bytes:
     return opened.radar_map(index, layer.kind).body
 
 
-def _labels(desk: Session, window: ClientWindow, request: asked.Export) -> tuple[str, ExportedFile]:
-    if desk.annotating is None:
+def _labels(session: Session, window: ClientWindow, request: requests.Export) -> tuple[str, ExportedFile]:
+    if session.annotating is None:
         raise ConfigError("export: labels are exported in `farfield annotate`; `farfield convert` converts data sets")
     del window
-    name, made = desk.exports.new(request.name, ".zip")
+    name, made = session.exports.new(request.name, ".zip")
     format = request.format or FORMATS[0]
-    pack(desk.annotating.store, format, request.frames, desk.exports.folder / name, made.path)
+    pack(session.annotating.store, format, request.frames, session.exports.folder / name, made.path)
     return name, made

@@ -1,4 +1,10 @@
-"""The desk: one open data set, the windows before it, and what each message does."""
+"""One open data set with the windows before it, and the table of what answers each message.
+
+A function is registered for a class of messages in one step::
+
+    @handles(requests.Preview)
+    async def preview(session: Session, window: ClientWindow, request: requests.Preview) -> None: ...
+"""
 
 import asyncio
 import sys
@@ -8,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from farfield.datasets.base import Dataset
-from farfield.errors import FarfieldError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.studio.exports import Exports
 from farfield.studio.messages.replies import Bye, Refused, Reply, Windows
 from farfield.studio.options import StudioSettings
@@ -17,24 +23,23 @@ from farfield.studio.showing.opened import OpenedDataset, plain_error
 from farfield.studio.threads import ThreadGroup
 
 if TYPE_CHECKING:
-    from farfield.studio.annotating.annotation import AnnotationService
     from farfield.studio.calibrating.service import CalibrationService
     from farfield.studio.inferring.jobs import Jobs
+    from farfield.studio.showing.annotations import AnnotationService
 
 T = TypeVar("T")
-_ONLY_SHOWS = "this studio shows only"
-_ANNOTATE = "start it as `farfield annotate` to change boxes"
+H = TypeVar("H", bound=Callable[..., Awaitable[None]])
 
 
 @dataclass(eq=False)
 class ClientWindow:
-    """A window.
+    """One window of the page.
 
     Args:
         id: Its name, its own among those open.
         annotator: Who sits before it.
+        room: How many replies may wait; a window that does not read them is sent away.
         matching: Changes with every request for matches, so that an older one is given up.
-        room: How many replies may wait; a window that does not read loses its place.
     """
 
     id: str
@@ -57,7 +62,13 @@ class ClientWindow:
             self.replies.put_nowait(reply)
 
 
-Handler = Callable[["Session", ClientWindow, Any], Awaitable[None]]
+class ViewOnlyError(ConfigError):
+    """The studio shows only."""
+
+    code, mend = "view", "start it as `farfield annotate` to change boxes"
+
+    def __init__(self) -> None:
+        super().__init__("this studio shows only")
 
 
 class Session:
@@ -65,20 +76,19 @@ class Session:
 
     Args:
         settings: What the studio was started with.
-        handlers: What each kind of message does.
     """
 
-    def __init__(self, settings: StudioSettings, handlers: dict[type, Handler]) -> None:
-        self.settings, self.handlers = settings, handlers
+    def __init__(self, settings: StudioSettings) -> None:
+        self.settings = settings
         self.annotator = settings.annotator
         self.windows: dict[str, ClientWindow] = {}
-        self.threads = ThreadGroup(3, "desk")
+        self.threads = ThreadGroup(3, "session")
         self.exports = Exports()
         self.data: Dataset | None = None
         self.annotating: AnnotationService | None = None
         self.jobs: Jobs | None = None
         self.calibrating: CalibrationService | None = None
-        self.checking: dict[int, float] = {}  # frames to be checked, and when each was edited last
+        self.edited_at: dict[int, float] = {}  # frames to be checked, and when each was edited last
         self._ready = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -90,10 +100,21 @@ class Session:
     @property
     def opened(self) -> OpenedDataset:
         """Layers of the open data set."""
-        return self.book.opened
+        return self.frames.opened
+
+    @property
+    def annotation(self) -> "AnnotationService":
+        """The annotation.
+
+        Raises:
+            ViewOnlyError: If the studio shows only.
+        """
+        if self.annotating is None:
+            raise ViewOnlyError
+        return self.annotating
 
     def open(self, data: Dataset) -> None:
-        """Take a data set: what reads files, for a thread. :meth:`let_in` lets the windows in.
+        """Open a data set: reads files, so it is for a thread. :meth:`let_in` lets the windows in.
 
         Raises:
             FarfieldError: If predictions or edits cannot be read or do not belong to it.
@@ -101,12 +122,12 @@ class Session:
         self.data = data
         opened = OpenedDataset(data)
         if self.settings.mode == "annotate":
-            from farfield.studio.annotating.annotation import AnnotationService
+            from farfield.studio.showing.annotations import AnnotationService
 
             self.annotating = AnnotationService(opened, self.settings)
-        edited = self.annotating
-        given = () if edited is None else (edited.rows, edited.centres)
-        self.book = FrameCache(opened, self.settings, *given)
+        annotation = self.annotating
+        edited = () if annotation is None else (annotation.rows, annotation.centres)
+        self.frames = FrameCache(opened, self.settings, *edited)
         if self.settings.calibration is not None:
             from farfield.studio.calibrating.service import CalibrationService
 
@@ -120,47 +141,54 @@ class Session:
         """Run what reads files or computes beside the event loop."""
         return await self.threads.do(work)
 
-    def aside(self, window: ClientWindow, name: str | None, work: Awaitable[None]) -> None:
-        """Let something go on beside further messages; what goes wrong is told to the window."""
-        task = asyncio.get_running_loop().create_task(self._aside(window, name, work))
+    def aside(self, window: ClientWindow | None, id: str | None, work: Awaitable[None]) -> None:
+        """Let something go on beside further messages.
+
+        Args:
+            window: Gets a refusal if it fails; None: nobody does.
+            id: The client's name of the request.
+            work: What goes on.
+        """
+        task = asyncio.get_running_loop().create_task(self._aside(window, id, work))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _aside(self, window: ClientWindow, name: str | None, work: Awaitable[None]) -> None:
+    async def _aside(self, window: ClientWindow | None, id: str | None, work: Awaitable[None]) -> None:
         try:
             await work
         except Exception as error:  # noqa: BLE001
-            window.send(self.refusal(name, error))
+            refused = self.refusal(id, error)
+            if window is not None:
+                window.send(refused)
 
-    def refusal(self, name: str | None, error: Exception) -> Refused:
+    def refusal(self, id: str | None, error: Exception) -> Refused:
         """An error as a reply: its message, never a traceback or a path of this machine."""
         if not isinstance(error, FarfieldError):
             traceback.print_exception(error, file=sys.stderr)
             sentence = f"the studio met an error of its own ({type(error).__name__}); its terminal shows it"
-            return Refused(id=name, code="failed", sentence=sentence)
+            return Refused(id=id, code="failed", sentence=sentence)
         code, mend = str(getattr(error, "code", "refused")), plain_error(getattr(error, "mend", ""), self.data)
         sentence = str(getattr(error, "sentence", "")) or str(error)
-        return Refused(id=name, code=code, sentence=plain_error(sentence, self.data), mend=mend)
+        return Refused(id=id, code=code, sentence=plain_error(sentence, self.data), mend=mend)
 
     async def handle(self, window: ClientWindow, request: Any) -> None:
-        """Do what a message asks."""
-        name = getattr(request, "id", None)
-        work = self.handlers.get(type(request))
-        if work is None:
-            window.send(Refused(id=name, code="view", sentence=_ONLY_SHOWS, mend=_ANNOTATE))
-            return
+        """Answer a message by the handler of its class."""
+        id = getattr(request, "id", None)
         try:
-            await work(self, window, request)
+            handler = HANDLERS.get(type(request))
+            if handler is None:
+                raise ViewOnlyError
+            await handler(self, window, request)
         except Exception as error:  # noqa: BLE001
-            window.send(self.refusal(name, error))
+            window.send(self.refusal(id, error))
 
-    def name_of(self, wanted: str) -> str:
-        """A name for a new window: the one that it wants if that is free."""
-        name, number = wanted, 1
-        while name in self.windows:
+    def window_name(self, name: str) -> str:
+        """A name for a new window: the one that it asks for if that is free."""
+        free, number = name, 1
+        while free in self.windows:
             number += 1
-            name = f"{wanted[:56]}-{number}"
-        return name
+            free = f"{name[:56]}-{number}"
+        return free
 
     async def join(self, window: ClientWindow, welcome: Callable[["Session", ClientWindow], Reply]) -> None:
         """Welcome a window, once the data set is open."""
@@ -174,19 +202,18 @@ class Session:
         self.windows.pop(window.id, None)
         self._count_windows()
 
-    def tell(self, reply: Reply, *, but: ClientWindow | None = None) -> None:
-        """Send something to all windows, or to all but one."""
+    def broadcast(self, reply: Reply) -> None:
+        """Send something to all windows."""
         for window in self.windows.values():
-            if window is not but:
-                window.send(reply)
+            window.send(reply)
 
     def _count_windows(self) -> None:
         names = tuple(sorted({window.annotator for window in self.windows.values() if window.annotator}))
-        self.tell(Windows(count=len(self.windows), annotators=names))
+        self.broadcast(Windows(count=len(self.windows), annotators=names))
 
     def goodbye(self, reason: str) -> None:
         """Say goodbye to all windows."""
-        self.tell(Bye(reason=reason))
+        self.broadcast(Bye(reason=reason))
 
     async def close(self) -> None:
         """End what still works for the windows."""
@@ -200,3 +227,24 @@ class Session:
             await self.in_thread(self.annotating.close)
         self.threads.end()
         self.exports.close()
+
+
+Handler = Callable[[Session, ClientWindow, Any], Awaitable[None]]
+HANDLERS: dict[type, Handler] = {}
+"""The function that answers each class of messages; the modules beside this one fill it as they are imported."""
+
+
+@dataclass(frozen=True)
+class handles:  # noqa: N801 - a decorator
+    """Register the decorated function as the handler of a class of messages.
+
+    Args:
+        message: The class.
+    """
+
+    message: type
+
+    def __call__(self, handler: H) -> H:
+        """Register it."""
+        HANDLERS[self.message] = handler
+        return handler

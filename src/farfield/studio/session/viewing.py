@@ -4,101 +4,105 @@ from collections.abc import Sequence
 from functools import partial
 
 from farfield import __version__
+from farfield.annotation.schema import shown_classes
 from farfield.metrics import PROTOCOLS
-from farfield.studio.messages import requests as asked
+from farfield.studio.messages import requests
 from farfield.studio.messages.replies import Bookmarks, Changed, Matches, Previewed, Welcome
 from farfield.studio.messages.rows import BoxRow, MatchRow
+from farfield.studio.session.annotating import check_soon
 from farfield.studio.session.detecting import detect_shown, offered
-from farfield.studio.session.editing import check_soon
-from farfield.studio.session.session import ClientWindow, Session
+from farfield.studio.session.session import ClientWindow, Session, handles
 from farfield.studio.showing.opened import MOST_NAMED
 from farfield.studio.showing.predictions import Predictions
-from farfield.studio.showing.rows import annotated_rows, shown_classes, with_others
+from farfield.studio.showing.rows import annotated_rows, class_specs, with_others
 
 
-def welcome(desk: Session, window: ClientWindow) -> Welcome:
+def welcome(session: Session, window: ClientWindow) -> Welcome:
     """What is open, for a window that says hello."""
-    book, data, settings = desk.book, desk.book.data, desk.settings
+    frames, data, settings = session.frames, session.frames.data, session.settings
     labels = tuple(f"{sequence}/{frame}" for sequence, frame in data.keys) if len(data) <= MOST_NAMED else ()
-    predicted = {name for each in book.sets.values() for name in each.about.classes}
-    annotating = desk.annotating
-    classes = shown_classes(data.name, settings.classes) if annotating is None else annotating.classes
+    predicted = {name for shown in frames.sets.values() for name in shown.about.classes}
+    annotating = session.annotating
+    classes = class_specs(shown_classes(data.name, settings.classes)) if annotating is None else annotating.classes
+    can_undo, can_redo = (False, False) if annotating is None else annotating.undoable(window.annotator)
     return Welcome(
         farfield=__version__,
         mode=settings.mode,
         data=data.name,
         title=settings.title or data.root.name,
         frames=len(data),
-        drives=book.opened.drive_rows,
+        drives=frames.opened.drive_rows,
         labels=labels,
         classes=with_others(classes, sorted(predicted)) if annotating is None else classes,
-        predictions=tuple(each.about for each in book.sets.values()),
+        predictions=tuple(shown.about for shown in frames.sets.values()),
         detectors=offered(settings),
         protocols=tuple(PROTOCOLS),
-        bookmarks=book.bookmarks.rows(),
-        tracks=() if annotating is None else annotating.tracks(book.first),
+        bookmarks=frames.bookmarks.rows(),
+        tracks=() if annotating is None else annotating.tracks(frames.first),
         annotator=window.annotator,
         window=window.id,
-        windows=len(desk.windows),
+        windows=len(session.windows),
         journal_seq=0 if annotating is None else annotating.seq,
-        extent=None if annotating is None else annotating.extent,
-        first=book.first,
+        extent=None if annotating is None else annotating.store.extent,
+        first=frames.first,
         formats=() if annotating is None else annotating.formats,
         saves_to="" if annotating is None else annotating.saves_to,
-        undo=annotating is not None and annotating.can(window.annotator, "undo"),
-        redo=annotating is not None and annotating.can(window.annotator, "redo"),
+        undo=can_undo,
+        redo=can_redo,
     )
 
 
-async def open_frame(desk: Session, window: ClientWindow, request: asked.FrameOpen) -> None:
+@handles(requests.FrameOpen)
+async def open_frame(session: Session, window: ClientWindow, request: requests.FrameOpen) -> None:
     """Send a frame's state; requests run concurrently, so an earlier one is answered even after a later one."""
     if request.purpose != "ahead":
         window.frame, window.threshold, window.sweeps = request.frame, request.threshold, request.sweeps
-    desk.aside(window, None, _show(desk, window, request))
+    session.aside(window, None, _show(session, window, request))
 
 
-async def _show(desk: Session, window: ClientWindow, request: asked.FrameOpen) -> None:
-    desk.opened.check(request.frame)
+async def _show(session: Session, window: ClientWindow, request: requests.FrameOpen) -> None:
+    session.opened.check(request.frame)
     if request.purpose != "here":
-        state = await desk.in_thread(lambda: desk.book.state(request.frame, request.threshold, request.sweeps))
+        state = await session.in_thread(lambda: session.frames.state(request.frame, request.threshold, request.sweeps))
         window.send(state)
     if request.purpose == "ahead":
         return
-    detect_shown(desk, window, request.frame)
-    if desk.annotating is not None:
-        await _show_tracks(desk, window, request.frame)
-        check_soon(desk, request.frame)
+    detect_shown(session, window, request.frame)
+    if session.annotating is not None:
+        await _show_tracks(session, window, request.frame)
+        check_soon(session, request.frame)
 
 
-async def _show_tracks(desk: Session, window: ClientWindow, frame: int) -> None:
+async def _show_tracks(session: Session, window: ClientWindow, frame: int) -> None:
     """The tracks of a drive, when a window comes to it."""
-    known = desk.annotating
-    assert known is not None  # only where boxes are edited
-    drive = known.drive_of(frame)
+    annotation = session.annotation
+    drive = annotation.drive_of(frame)
     if window.drive == drive:
         return
     first, window.drive = window.drive is None, drive
-    if first and drive == known.drive_of(desk.book.first):
+    if first and drive == annotation.drive_of(session.frames.first):
         return  # the welcome had them
-    tracks = await desk.in_thread(lambda: known.tracks(frame))
-    undo, redo = (known.can(window.annotator, what) for what in ("undo", "redo"))
-    window.send(Changed(seq=known.seq, id="", by="", window="", tracks=tracks, undo=undo, redo=redo))
+    tracks = await session.in_thread(lambda: annotation.tracks(frame))
+    can_undo, can_redo = annotation.undoable(window.annotator)
+    window.send(Changed(seq=annotation.seq, id="", by="", window="", tracks=tracks, undo=can_undo, redo=can_redo))
 
 
-async def preview(desk: Session, window: ClientWindow, request: asked.Preview) -> None:
+@handles(requests.Preview)
+async def preview(session: Session, window: ClientWindow, request: requests.Preview) -> None:
     """Pass a dragged box on to the windows that show its frame."""
     reply = Previewed(window=window.id, frame=request.frame, box=request.box, value=request.value)
-    for other in desk.windows.values():
+    for other in session.windows.values():
         if other is not window and other.frame == request.frame:
             other.send(reply)
 
 
-async def bookmark(desk: Session, window: ClientWindow, request: asked.BookmarkSet) -> None:
+@handles(requests.BookmarkSet)
+async def bookmark(session: Session, window: ClientWindow, request: requests.BookmarkSet) -> None:
     """Set a bookmark and tell everybody."""
-    desk.opened.check(request.frame)
-    kept = desk.book.bookmarks
-    await desk.in_thread(lambda: kept.set(request.frame, request.note, window.annotator))
-    desk.tell(Bookmarks(rows=kept.rows()))
+    session.opened.check(request.frame)
+    kept = session.frames.bookmarks
+    await session.in_thread(lambda: kept.set(request.frame, request.note, window.annotator))
+    session.broadcast(Bookmarks(rows=kept.rows()))
 
 
 # Which frames are worth a look: where a set of predictions misses boxes, or finds what is not there.
@@ -107,40 +111,41 @@ _AT_ONCE = 20
 """Frames of a part: few, so that marks appear soon and a thread is free for what a person waits for."""
 
 
-async def match_list(desk: Session, window: ClientWindow, request: asked.MatchList) -> None:
+@handles(requests.MatchList)
+async def match_list(session: Session, window: ClientWindow, request: requests.MatchList) -> None:
     """Match all frames of all sets, part by part."""
     window.matching = token = object()
-    desk.aside(window, None, _matched(desk, window, request.threshold, token))
+    session.aside(window, None, _matched(session, window, request.threshold, token))
 
 
-async def _matched(desk: Session, window: ClientWindow, threshold: float, token: object) -> None:
-    places = {key: index for index, key in enumerate(desk.book.data.keys)}
-    for found in list(desk.book.sets.values()):
+async def _matched(session: Session, window: ClientWindow, threshold: float, token: object) -> None:
+    places = {key: index for index, key in enumerate(session.frames.data.keys)}
+    for found in list(session.frames.sets.values()):
         frames = sorted(places[key] for key in list(found.boxes) if key in places)
         for start in range(0, max(1, len(frames)), _AT_ONCE):
-            rows = await desk.in_thread(partial(_rows, desk, found, frames[start : start + _AT_ONCE], threshold))
-            if window.matching is not token or desk.windows.get(window.id) is not window:
+            rows = await session.in_thread(partial(_rows, session, found, frames[start : start + _AT_ONCE], threshold))
+            if window.matching is not token or session.windows.get(window.id) is not window:
                 return
             window.send(Matches(set=found.about.name, first=start == 0, rows=rows))
 
 
-def _rows(desk: Session, found: Predictions, frames: Sequence[int], threshold: float) -> tuple[MatchRow, ...]:
-    reference = desk.book.data[frames[0]].reference if frames else ""
-    return tuple(row for index in frames if (row := _row(desk, found, index, reference, threshold)) is not None)
+def _rows(session: Session, found: Predictions, frames: Sequence[int], threshold: float) -> tuple[MatchRow, ...]:
+    reference = session.frames.data[frames[0]].reference if frames else ""
+    return tuple(row for index in frames if (row := _row(session, found, index, reference, threshold)) is not None)
 
 
-def _row(desk: Session, found: Predictions, index: int, reference: str, threshold: float) -> MatchRow | None:
+def _row(session: Session, found: Predictions, index: int, reference: str, threshold: float) -> MatchRow | None:
     """Of one frame; None where nothing is wrong, or nothing was annotated and so nothing can be."""
-    shown = found.frame(desk.book.data.keys[index], _truth(desk, index), reference, threshold=threshold)
+    shown = found.frame(session.frames.data.keys[index], _truth(session, index), reference, threshold=threshold)
     if shown is None:
         return None
     wrong = sum(row.match == "false" for row in shown.rows)
     return MatchRow(frame=index, missed=len(shown.missed), wrong=wrong) if shown.missed or wrong else None
 
 
-def _truth(desk: Session, index: int) -> tuple[BoxRow, ...]:
+def _truth(session: Session, index: int) -> tuple[BoxRow, ...]:
     """The annotated boxes of a frame as they stand, no cloud read."""
-    if desk.annotating is not None:
-        return desk.annotating.outlines(index)
-    annotation = desk.book.data.annotation(index)
+    if session.annotating is not None:
+        return session.annotating.outlines(index)
+    annotation = session.frames.data.annotation(index)
     return () if annotation is None else annotated_rows(annotation)

@@ -1,6 +1,6 @@
 """A radar's power from above and from the front, as maps in dB: polar where the data are, else in metres."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.annotation.fitting.radar import peak_near
+from farfield.frame import Frame
+from farfield.geometry.poses import invert
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
 from farfield.radar.cells import RadarCells
 from farfield.radar.grid import CUBE_SHAPE, CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSIDE
@@ -109,6 +111,26 @@ class RadarPower:
             return None
         row, column = np.unravel_index(int(np.argmax(np.where(near, level, OUTSIDE))), level.shape)
         return float(CUBE_X_M[column]), float(CUBE_Y_M[row])
+
+
+def snapped(frame: Frame, power: Callable[[], RadarPower], at: tuple[float, ...]) -> tuple[float, ...]:
+    """The radar's peak nearest to a press, in the frame's coordinates; the press itself where there is none.
+
+    Args:
+        frame: The frame.
+        power: Gives its power, where it is needed.
+        at: The press, x and y, metres.
+    """
+    product = product_of(frame.radar)
+    frame_T_radar = None if product is None else frame.sensors[product].frame_T_sensor
+    if frame_T_radar is None:
+        return at
+    press = invert(frame_T_radar) @ np.array([at[0], at[1], frame_T_radar[2, 3], 1.0])
+    peak = power().peak_near((float(press[0]), float(press[1])))
+    if peak is None:
+        return at
+    x, y = (frame_T_radar @ np.array([*peak, 0.0, 1.0]))[:2].tolist()
+    return x, y
 
 
 def _cube(cells: RadarCells) -> Float[np.ndarray, "150 400 250"]:

@@ -6,7 +6,9 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Int
 
-from farfield.errors import ConfigError
+from farfield.annotation.annotator import box_numbers
+from farfield.annotation.schema import ClassPreset, cirrus_class, class_preset
+from farfield.annotation.surroundings import cloud_name
 from farfield.frame import Annotation, Boxes, Frame
 from farfield.geometry.boxes import BOX_MARGIN_M
 from farfield.geometry.boxes import count_points_in_boxes
@@ -16,23 +18,19 @@ from farfield.studio.messages.rows import FrameInfo
 from farfield.studio.messages.rows import PredictedRow
 from farfield.studio.messages.rows import TypeSpec
 from farfield.studio.showing.layers import matrix
-from farfield.vocabulary.classes import (
-    CIRRUS_CLASSES,
-    CIRRUS_FROM_ANY_KRADAR,
-    CIRRUS_FROM_ARGOVERSE2,
-    CIRRUS_FROM_KITTI,
-    CIRRUS_FROM_KRADAR,
-    CIRRUS_FROM_VIEW_OF_DELFT,
-    CLASS_COLOURS,
-    KRADAR_FROM_CIRRUS,
-)
-from farfield.vocabulary.sizes import CIRRUS_SIZES_M, SMALL_KINDS, VEHICLE_KINDS
+from farfield.vocabulary.classes import CLASS_COLOURS
 
-
-def numbers(boxes: Boxes, row: int) -> Any:
-    """Centre, size and yaw of one box."""
-    values = (*boxes.centre_m[row], *boxes.size_m[row], boxes.yaw_rad[row])
-    return tuple(float(value) for value in values)
+Group = Literal["vehicle", "person", "two_wheeler", "other"]
+_SPARE_COLOURS = tuple(CLASS_COLOURS.values())
+_GROUPS: dict[str, Group] = {
+    "vehicle": "vehicle",
+    "large_vehicle": "vehicle",
+    "trailer": "vehicle",
+    "pedestrian": "person",
+    "wheeled_pedestrian": "person",
+    "bicycle": "two_wheeler",
+    "motorcycle": "two_wheeler",
+}
 
 
 def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[BoxRow, ...]:
@@ -51,7 +49,7 @@ def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[
             id=str(row),
             track=None if boxes.track_id is None or boxes.track_id[row] < 0 else int(boxes.track_id[row]),
             class_name=str(boxes.label[row]),
-            box=numbers(boxes, row),
+            box=box_numbers(boxes, row),
             version=0,
             state="accepted",
             source="lidar",
@@ -80,11 +78,10 @@ def _attributes(annotation: Annotation, row: int) -> dict[str, str | int | float
 
 def counted(frame: Frame, boxes: Boxes, kind: str) -> Int[np.ndarray, " n"] | None:
     """Points of the first cloud of a kind inside each box; None where the frame has no such cloud in its axes."""
-    for name in frame.clouds:
-        sensor = frame.sensors.get(name)
-        if (kind == "lidar") if sensor is None else (sensor.kind == kind and sensor.in_frame):
-            return np.asarray(count_points_in_boxes(frame.cloud(name).points_m, boxes, margin_m=BOX_MARGIN_M))
-    return None
+    name = cloud_name(frame, kind)
+    if name is None:
+        return None
+    return np.asarray(count_points_in_boxes(frame.cloud(name).points_m, boxes, margin_m=BOX_MARGIN_M))
 
 
 def boxes_of(rows: Sequence[BoxRow]) -> Boxes:
@@ -96,7 +93,7 @@ def boxes_of(rows: Sequence[BoxRow]) -> Boxes:
         centre_m=values[:, :3],
         size_m=np.maximum(values[:, 3:6], 1e-3),
         yaw_rad=values[:, 6],
-        label=[our_class(row.class_name) for row in rows],
+        label=[cirrus_class(row.class_name) for row in rows],
         track_id=np.array([-1 if row.track is None else row.track for row in rows], dtype=np.int64),
     )
 
@@ -107,7 +104,7 @@ def predicted_rows(boxes: Boxes) -> list[PredictedRow]:
     return [
         PredictedRow(
             class_name=str(boxes.label[row]),
-            box=numbers(boxes, row),
+            box=box_numbers(boxes, row),
             score=None if boxes.score is None else float(boxes.score[row]),
             track=None if boxes.track_id is None or boxes.track_id[row] < 0 else int(boxes.track_id[row]),
             velocity=_velocity(boxes, row),
@@ -141,101 +138,32 @@ def frame_info(
     )
 
 
-# The classes that can be set, with preset sizes and colours that everybody can tell apart.
-
-Group = Literal["vehicle", "person", "two_wheeler", "other"]
-Size = tuple[float, float, float]
-_SPARE = tuple(CLASS_COLOURS.values())
-_TYPES = ("van", "box truck", "bus")
-_GROUPS: dict[str, Group] = {
-    "vehicle": "vehicle",
-    "large_vehicle": "vehicle",
-    "trailer": "vehicle",
-    "pedestrian": "person",
-    "wheeled_pedestrian": "person",
-    "bicycle": "two_wheeler",
-    "motorcycle": "two_wheeler",
-}
-_SPELLINGS = CIRRUS_FROM_ARGOVERSE2 | CIRRUS_FROM_VIEW_OF_DELFT | CIRRUS_FROM_KITTI | CIRRUS_FROM_ANY_KRADAR
-_OWN_WORDS = {"kradar": CIRRUS_FROM_KRADAR, "kitti": CIRRUS_FROM_KITTI}
-
-
-def our_class(name: str) -> str:
-    """A class in Cirrus's words, whichever data set spells it; a name that none has stays as it is.
-
-    >>> our_class("Sedan"), our_class("Car"), our_class("vehicle"), our_class("tank")
-    ('vehicle', 'vehicle', 'vehicle', 'tank')
-    """
-    return name if name in CIRRUS_CLASSES else _SPELLINGS.get(name, name)
-
-
-def shown_classes(format_name: str, given: Sequence[str] = ()) -> tuple[ClassSpec, ...]:
-    """The classes of a data set that is looked at, in Cirrus's words.
+def class_specs(presets: Sequence[ClassPreset], first: int = 0) -> tuple[ClassSpec, ...]:
+    """Classes as the page takes them, with colours that everybody can tell apart and digits that set them.
 
     Args:
-        format_name: Its format; K-Radar's own sizes differ from Cirrus'.
-        given: ``name:length,width,height`` of classes to offer instead.
-
-    Raises:
-        ConfigError: If one of those given is not of this form.
+        presets: The classes.
+        first: Number of the first one among all that are offered.
     """
-    if given:
-        return tuple(_given(text, place) for place, text in enumerate(given))
-    names = enumerate(CIRRUS_SIZES_M)
-    return tuple(_spec(name, _kradar_size(name) if format_name == "kradar" else None, place) for place, name in names)
-
-
-def annotated_classes(format_name: str, given: Sequence[str] = ()) -> tuple[ClassSpec, ...]:
-    """The classes of a data set that is annotated, as its label files spell them; arguments as above."""
-    own = _OWN_WORDS.get(format_name)
-    if given or own is None:
-        return shown_classes(format_name, given)
-    return tuple(_spec(name, None, place) for place, name in enumerate(own))
+    specs = []
+    for number, preset in enumerate(presets, first):
+        cirrus = cirrus_class(preset.name)
+        specs.append(
+            ClassSpec(
+                name=preset.name,
+                title=preset.name.replace("_", " "),
+                size=preset.size_m,
+                colour=CLASS_COLOURS.get(cirrus, _SPARE_COLOURS[number % len(_SPARE_COLOURS)]),
+                key=str(number + 1) if number < 9 else "",
+                group=_GROUPS.get(cirrus, "other"),
+                types=tuple(TypeSpec(name=kind, size=size_m) for kind, size_m in preset.types.items()),
+            )
+        )
+    return tuple(specs)
 
 
 def with_others(classes: Sequence[ClassSpec], names: Iterable[str]) -> tuple[ClassSpec, ...]:
     """The classes, and further ones that boxes bear."""
-    known = {spec.name for spec in classes}
-    more = [name for name in dict.fromkeys(names) if name not in known]
-    return (*classes, *(_spec(name, None, len(classes) + place) for place, name in enumerate(more)))
-
-
-def spec_of(name: str, size: Size, types: dict[str, Size], place: int) -> ClassSpec:
-    """A class as the page takes it."""
-    return _spec(name, size, place, types)
-
-
-def preset_size(name: str) -> Size:
-    """Usual size of a class or of a type of vehicle; a car's for a name that nobody knows."""
-    known = VEHICLE_KINDS.get(name) or SMALL_KINDS.get(name)
-    return known or CIRRUS_SIZES_M.get(our_class(name), CIRRUS_SIZES_M["vehicle"])
-
-
-def _kradar_size(name: str) -> Size:
-    return preset_size(name if name == "trailer" else KRADAR_FROM_CIRRUS.get(name, name))
-
-
-def _spec(name: str, size: Size | None, place: int, types: dict[str, Size] | None = None) -> ClassSpec:
-    ours = our_class(name)
-    if types is None:
-        types = {kind: VEHICLE_KINDS[kind] for kind in _TYPES} if ours == "large_vehicle" else {}
-    return ClassSpec(
-        name=name,
-        title=name.replace("_", " "),
-        size=size or preset_size(name),
-        colour=CLASS_COLOURS.get(ours, _SPARE[place % len(_SPARE)]),
-        key=str(place + 1) if place < 9 else "",
-        group=_GROUPS.get(ours, "other"),
-        types=tuple(TypeSpec(name=kind, size=each) for kind, each in types.items()),
-    )
-
-
-def _given(text: str, place: int) -> ClassSpec:
-    name, _, words = text.partition(":")
-    try:
-        length, width, height = (float(word) for word in words.split(","))
-    except ValueError:
-        raise ConfigError(f"classes: expected name:length,width,height in metres, got {text!r}") from None
-    if not name or not all(0 < value <= 60 for value in (length, width, height)):
-        raise ConfigError(f"classes: expected a name and sizes up to 60 m, got {text!r}")
-    return _spec(name, (length, width, height), place, {})
+    offered = {spec.name for spec in classes}
+    others = [class_preset(name) for name in dict.fromkeys(names) if name not in offered]
+    return (*classes, *class_specs(others, len(classes)))

@@ -1,4 +1,4 @@
-"""The types of the messages as TypeScript: ``python -m farfield.studio.protocol > web/src/protocol.ts``."""
+"""The types of the messages as TypeScript: ``python tools/page_protocol.py > web/src/protocol.ts``."""
 
 import sys
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from farfield.studio.messages.rows import BoxValue
 
 _PLAIN = {str: "string", bool: "boolean", int: "number", float: "number", NoneType: "null", Any: "unknown"}
 _HEAD = """\
-// Made by `python -m farfield.studio.protocol`; do not edit. Metres, radians; int64 nanoseconds are strings.
+// Made by `python tools/page_protocol.py`; do not edit. Metres, radians; int64 nanoseconds are strings.
 
 /** Of these messages; the server sends pages of another version away. */
 export const VERSION = {version};

@@ -2,7 +2,7 @@
 
 farfield simulate cirrus-sim OUT/c --frames 1 --sequences 1 --sensors gaussian,uniform,camera
 farfield simulate kradar-sim-mini OUT/k --frames 1 --sequences 1 --sensors os2-64,cells,cam-front
-python -m farfield.studio.samples.making OUT/c OUT/k src/farfield/studio/samples
+python tools/sample_data.py OUT/c OUT/k src/farfield/studio/samples
 """
 
 import shutil

@@ -1,1 +1,0 @@
-"""The annotation behind the windows: the store opened for a data set, its rows, edits, fits, checks and saves."""
