@@ -35,7 +35,7 @@ from farfield.annotation.checking import (
     check,
 )
 from farfield.annotation.findings import size_ranges
-from farfield.annotation.motion import TrackFrame, to_world, wrapped
+from farfield.annotation.motion import TrackFrame, to_world, wrap_yaw
 from farfield.annotation.schema import fastest
 from farfield.annotation.surroundings import Surroundings, in_box_axes
 from farfield.datasets.labels import BoxLabel
@@ -98,7 +98,7 @@ def _by_hand(boxes: Boxes, kept: set[int], rng: Rng) -> dict[str, BoxLabel]:
     for row, track in enumerate(boxes.track_id.tolist()):
         if track in kept:
             x, y, z = (boxes.centre_m[row] + rng.normal(0, NOISE_M, 3)).tolist()
-            yaw = wrapped(float(boxes.yaw_rad[row] + rng.normal(0, NOISE_RAD)))
+            yaw = wrap_yaw(float(boxes.yaw_rad[row] + rng.normal(0, NOISE_RAD)))
             box = (x, y, z, *boxes.size_m[row].tolist(), yaw)
             found[str(track)] = BoxLabel(id=f"b{track}", label=str(boxes.label[row]), box=box, track=str(track))
     return found
@@ -107,7 +107,7 @@ def _by_hand(boxes: Boxes, kept: set[int], rng: Rng) -> dict[str, BoxLabel]:
 def moved(label: BoxLabel, **changes: float) -> BoxLabel:
     names = ("x", "y", "z", "l", "w", "h", "yaw")
     box = [value + changes.get(name, 0.0) for name, value in zip(names, label.box, strict=True)]
-    return replace(label, box=(*box[:6], wrapped(box[6])))
+    return replace(label, box=(*box[:6], wrap_yaw(box[6])))
 
 
 class Spot(NamedTuple):

@@ -22,8 +22,8 @@ import numpy as np
 from _report import SHARED_REAL, header
 from _studio_table import Table
 
-from farfield.annotation.edits import add_box, boxes_of, interpolate_track, moments
-from farfield.annotation.motion import TrackFrame, between
+from farfield.annotation.edits import add_box, boxes_of, interpolate_track, track_frames
+from farfield.annotation.motion import TrackFrame, interpolate
 from farfield.annotation.schema import schema_of
 from farfield.annotation.store import Author, Store
 from farfield.datasets.edits import journal_folder
@@ -72,7 +72,7 @@ def stretches(store: Store, drive: str) -> Iterator[tuple[str, Stretch]]:
         while start + LENGTH <= len(rows):
             part = rows[start : start + LENGTH]
             if part[-1] - part[0] == LENGTH - 1:
-                found = moments(store, (boxes[row][0] for row in part))
+                found = track_frames(store, (boxes[row][0] for row in part))
                 yield track, [(moment, boxes[row][1]) for moment, row in zip(found, part, strict=True)]
                 start += LENGTH
             else:
@@ -82,7 +82,7 @@ def stretches(store: Store, drive: str) -> Iterator[tuple[str, Stretch]]:
 def errors(stretch: Stretch, step: int, *, world: bool) -> list[float]:
     """Distances of interpolated boxes from the published ones, metres."""
     known = stretch if world else [(TrackFrame(moment.key, moment.time_s, None), box) for moment, box in stretch]
-    found = between(known[::step], [moment for moment, _ in known])
+    found = interpolate(known[::step], [moment for moment, _ in known])
     truth = {moment.key: box for moment, box in known}
     return [math.dist(box[:2], truth[key][:2]) for key, box in found.items()]
 
@@ -96,7 +96,7 @@ def remade(store: Store, drive: str, track: str, stretch: Stretch) -> tuple[int,
         value = {"label": label, "box": list(box), "track": number}
         plan = partial(add_box, key=moment.key, name=f"k{place}", value=value)
         store.edit(ANN, f"k{place}", "box.add", plan)
-    rows = [store.drives.place(moment.key).row for moment, _ in stretch]
+    rows = [store.drives.locate(moment.key).row for moment, _ in stretch]
     plan = partial(interpolate_track, drive=drive, track=number, first=rows[0], last=rows[-1], prefix="i")
     store.edit(ANN, "i", "track.interpolate", plan)
     truth: dict[Key, Numbers] = {moment.key: box for moment, box in stretch}

@@ -7,7 +7,7 @@ import numpy as np
 from edited_drives import pose
 
 from farfield.annotation.checking import CheckedFrame, CheckSettings, DetectorBox, NearbyTrack, SizeRange, TrackStep
-from farfield.annotation.motion import TrackFrame, from_world, to_world, wrapped
+from farfield.annotation.motion import TrackFrame, from_world, to_world, wrap_yaw
 from farfield.annotation.surroundings import Surroundings
 from farfield.datasets.labels import BoxLabel, Numbers
 
@@ -61,7 +61,7 @@ class CheckedDrive:
             scale = self.rng.uniform(0.95, 1.05)
             own = tuple(scale * s for s in size)
             yaw = self.rng.uniform(-0.05, 0.05) + (np.pi if lane < 2 else 0.0)
-            box = (x, y, own[2] / 2 - LIDAR_M, *own, wrapped(float(yaw)))
+            box = (x, y, own[2] / 2 - LIDAR_M, *own, wrap_yaw(float(yaw)))
             found.append((name, box, float(self.rng.uniform(0.3, 1.0) * min(fastest, 10.0) * (place == lane))))
         return found  # type: ignore[return-value]
 
@@ -77,7 +77,7 @@ class CheckedDrive:
 
     def _by_hand(self, label: BoxLabel) -> BoxLabel:
         x, y, z = (value + self.rng.normal(0, 0.03) for value in label.box[:3])
-        yaw = wrapped(label.box[6] + self.rng.normal(0, np.deg2rad(0.5)))
+        yaw = wrap_yaw(label.box[6] + self.rng.normal(0, np.deg2rad(0.5)))
         return replace(label, box=(x, y, z, *label.box[3:6], yaw))
 
     def points(self, row: int) -> np.ndarray:
@@ -127,7 +127,7 @@ def moved(label: BoxLabel, **changes: float) -> BoxLabel:
     """A label with numbers added to its box: x, y, z, l, w, h, yaw."""
     names = ("x", "y", "z", "l", "w", "h", "yaw")
     box = [value + changes.get(name, 0.0) for name, value in zip(names, label.box, strict=True)]
-    return replace(label, box=(*box[:6], wrapped(box[6])))  # type: ignore[arg-type]
+    return replace(label, box=(*box[:6], wrap_yaw(box[6])))  # type: ignore[arg-type]
 
 
 Defect = Callable[[CheckedDrive, Drawn, int, str, np.random.Generator], None]

@@ -69,7 +69,7 @@ def test_a_detector_that_disagrees() -> None:
     ]
     found = check([CAR, other], CheckedFrame(key=KEY, detections=seen), {}, CheckSettings())
     assert [(finding.box, finding.severity) for finding in found] == [("2", "info"), (None, "info")]
-    assert found[1].place == (70.0, 0.0)
+    assert found[1].xy_m == (70.0, 0.0)
     assert found[1].id == "detector/a/0005/at 70,0"
     assert check([], CheckedFrame(key=KEY, detections=seen[:1]), {}, CheckSettings())[0].box is None
 

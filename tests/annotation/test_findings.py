@@ -12,13 +12,13 @@ from farfield.annotation.errors import RefusedError
 from farfield.annotation.findings import all_findings, findings, settings_of
 from farfield.annotation.notes import (
     Stopwatch,
+    annotation_work,
     bookmark,
     bookmarks,
     declare_extent,
     ignore,
-    ignored,
-    work,
-    worked,
+    ignored_findings,
+    record_time,
 )
 from farfield.annotation.store import Store
 from farfield.annotation.surroundings import Surroundings
@@ -43,7 +43,7 @@ def test_a_jump_and_a_gap_are_found_after_the_edit(tmp_path: Path) -> None:
         found = {finding.check: finding for finding in all_findings(store, settings_of(store))}
         assert {name: finding.frame for name, finding in found.items()} == {"jump": _key(8), "gap": _key(13)}
         assert found["jump"].severity == "error"
-        assert found["jump"].place == pytest.approx((row.label.box[0], 4.5))
+        assert found["jump"].xy_m == pytest.approx((row.label.box[0], 4.5))
 
 
 def test_a_finding_is_let_stand_and_brought_back(tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_a_finding_is_let_stand_and_brought_back(tmp_path: Path) -> None:
         store.edit(ANN, "e1", "box.delete", partial(delete_box, key=_key(12), name="0", base=0))
         (finding,) = findings(store, _key(13), settings_of(store))
         ignore(store, EVE, "i1", finding.id, " it went behind a wall ")
-        assert ignored(store) == {finding.id: "it went behind a wall"}
+        assert ignored_findings(store) == {finding.id: "it went behind a wall"}
         assert findings(store, _key(13), settings_of(store))[0].ignored == "it went behind a wall"
         with pytest.raises(RefusedError, match="at most 2000"):
             ignore(store, EVE, "i2", finding.id, "x" * 2001)
@@ -100,14 +100,14 @@ def test_bookmarks(tmp_path: Path) -> None:
 
 def test_time_a_box_by_annotator(tmp_path: Path) -> None:
     with opened(tmp_path) as store:
-        worked(store, ANN, "t1", _key(1), "0", 4.5, 2)
-        worked(store, ANN, "t2", _key(1), "0", 1.5, 1)
-        worked(store, ANN, "t3", _key(2), "0", 3.0, 0)
-        worked(store, EVE, "t4", _key(2), "0", 8.0, 5)
+        record_time(store, ANN, "t1", _key(1), "0", 4.5, 2)
+        record_time(store, ANN, "t2", _key(1), "0", 1.5, 1)
+        record_time(store, ANN, "t3", _key(2), "0", 3.0, 0)
+        record_time(store, EVE, "t4", _key(2), "0", 8.0, 5)
         with pytest.raises(RefusedError, match="seconds of a day"):
-            worked(store, EVE, "t5", _key(2), "0", float("nan"), 5)
+            record_time(store, EVE, "t5", _key(2), "0", float("nan"), 5)
     with opened(tmp_path) as store:
-        found = work(store)
+        found = annotation_work(store)
         assert found == {"ann": (2, 9.0, 3), "eve": (1, 8.0, 5)}
         assert found["ann"].seconds_per_box == 4.5
 

@@ -31,7 +31,7 @@ def test_one_box_moved_changes_one_line(tmp_path: Path) -> None:
         _moved(store, "e1")
         saved = save_in_place(store, ANN, "s1")
         assert saved.files == (tmp_path / "boxes.csv",)
-        assert saved.done.saved.result(0).op == "save"
+        assert saved.edit.saved.result(0).op == "save"
         after = (tmp_path / "boxes.csv").read_bytes()
         lines = list(zip(before.splitlines(), after.splitlines(), strict=True))
         assert [new for old, new in lines if old != new] == [b"a,0000,car,10.5,2,0,4.5,1.9,1.6,0.25,,3"]

@@ -10,15 +10,15 @@ from edited_drives import ANN, CAR, EVE, opened, state_bytes
 from farfield.annotation.edits import (
     add_box,
     boxes_of,
+    combine,
     delete_box,
-    fill,
+    fill_track,
     interpolate_track,
     merge_tracks,
     propagate_track,
     set_box,
     set_track,
     split_track,
-    together,
 )
 from farfield.annotation.errors import ConflictError, RefusedError
 from farfield.annotation.motion import RefitBox
@@ -167,7 +167,7 @@ def test_propagated_and_one_undo(tmp_path: Path) -> None:
         found = propagate_track(store, A, "8", 1, 19, _still)
         assert [key[1] for key in found.boxes] == [f"{row:04d}" for row in (2, 3, 4, 6, 7, 8)]
         assert "lost from frame 0009" in found.message
-        plan = partial(fill, drive=A, track="8", boxes=found.boxes, source="propagated", prefix="p1")
+        plan = partial(fill_track, drive=A, track="8", boxes=found.boxes, source="propagated", prefix="p1")
         store.edit(ANN, "p1", "track.propagate", plan)
         boxes = {row: box for row, _, box in boxes_of(store, A, "8")}
         assert boxes[5].label.box[0] == 25.25
@@ -187,9 +187,9 @@ def test_several_plans_are_one_edit_or_none(tmp_path: Path) -> None:
         before = state_bytes(store)
         plans = [partial(delete_box, key=_key(row), name="0", base=0) for row in range(3)]
         with pytest.raises(RefusedError, match="changed twice"):
-            store.edit(ANN, "e1", "box.set", partial(together, [*plans, plans[0]]))
+            store.edit(ANN, "e1", "box.set", partial(combine, [*plans, plans[0]]))
         assert state_bytes(store) == before
-        store.edit(ANN, "e2", "box.set", partial(together, plans))
+        store.edit(ANN, "e2", "box.set", partial(combine, plans))
         assert len(boxes_of(store, A, "3")) == 17
         undo(store, ANN, "u1")
         assert state_bytes(store) == before

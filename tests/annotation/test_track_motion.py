@@ -9,14 +9,14 @@ from edited_drives import pose
 from farfield.annotation.motion import (
     RefitBox,
     TrackFrame,
-    between,
-    carried,
+    carry_box,
     from_world,
-    moved,
+    interpolate,
     propagate,
     to_world,
-    turn,
-    wrapped,
+    transform_box,
+    turn_angle,
+    wrap_yaw,
 )
 from farfield.datasets.labels import Numbers
 from farfield.frame import Boxes, Key
@@ -32,7 +32,7 @@ def _moment(row: int, *, posed: bool = True) -> TrackFrame:
 def _world(row: int) -> Numbers:
     """A car that drives 8 m/s along a bend, in the world."""
     yaw = 3.0 + 0.03 * row
-    return 20.0 - 0.8 * row, 5.0 + 0.1 * row, 0.5, *SIZE, wrapped(yaw)
+    return 20.0 - 0.8 * row, 5.0 + 0.1 * row, 0.5, *SIZE, wrap_yaw(yaw)
 
 
 def _seen(row: int) -> Numbers:
@@ -48,9 +48,9 @@ def test_moved_as_boxes_are() -> None:
     tilted[:3, :3] = tilted[:3, :3] @ np.array([[1, 0, 0], [0, 0.96, -0.28], [0, 0.28, 0.96]])
     box = (3.0, -2.0, 1.0, *SIZE, 2.5)
     there = _boxes(box).transform(tilted)
-    assert np.allclose(moved(box, tilted)[:3], there.centre_m[0])
-    assert moved(box, tilted)[6] == pytest.approx(there.yaw_rad[0])
-    assert moved(moved(box, pose(7)), invert(pose(7))) == pytest.approx(box)
+    assert np.allclose(transform_box(box, tilted)[:3], there.centre_m[0])
+    assert transform_box(box, tilted)[6] == pytest.approx(there.yaw_rad[0])
+    assert transform_box(transform_box(box, pose(7)), invert(pose(7))) == pytest.approx(box)
 
 
 def test_yaw_goes_the_shorter_way() -> None:
@@ -58,37 +58,37 @@ def test_yaw_goes_the_shorter_way() -> None:
         (_moment(0, posed=False), (0.0, 0.0, 0.0, *SIZE, 3.0)),
         (_moment(10, posed=False), (9.0, 0.0, 0.0, *SIZE, -3.0)),
     ]
-    found = between(keyframes, [_moment(row, posed=False) for row in range(11)])
+    found = interpolate(keyframes, [_moment(row, posed=False) for row in range(11)])
     assert len(found) == 9
     middle = found["a", "0005"]
     assert abs(abs(middle[6]) - math.pi) < 1e-9
     assert middle[0] == pytest.approx(4.5)
-    assert turn(3.1, -3.1) == pytest.approx(2 * math.pi - 6.2)
+    assert turn_angle(3.1, -3.1) == pytest.approx(2 * math.pi - 6.2)
 
 
 def test_straight_in_the_world_not_in_the_sensor() -> None:
     rows = (0, 10, 20)
     wanted = [_moment(row) for row in range(21)]
-    found = between([(_moment(row), _seen(row)) for row in rows], wanted)
+    found = interpolate([(_moment(row), _seen(row)) for row in rows], wanted)
     errors = [math.dist(box[:2], _seen(int(key[1]))[:2]) for key, box in found.items()]
     assert max(errors) < 1e-9
-    flat = between([(_moment(row)._replace(world_T_frame=None), _seen(row)) for row in rows], wanted)
+    flat = interpolate([(_moment(row)._replace(world_T_frame=None), _seen(row)) for row in rows], wanted)
     assert max(math.dist(box[:2], _seen(int(key[1]))[:2]) for key, box in flat.items()) > 0.1
-    assert all(abs(turn(found[key][6], _seen(int(key[1]))[6])) < 1e-9 for key in found)
+    assert all(abs(turn_angle(found[key][6], _seen(int(key[1]))[6])) < 1e-9 for key in found)
 
 
 def test_sizes_go_over_or_are_the_tracks() -> None:
     first, second = (0.0, 0.0, 0.0, 4.0, 2.0, 1.0, 0.0), (1.0, 0.0, 0.0, 5.0, 2.0, 2.0, 0.0)
     keyframes = [(_moment(0, posed=False), first), (_moment(2, posed=False), second)]
-    assert between(keyframes, [_moment(1, posed=False)])["a", "0001"][3:6] == (4.5, 2.0, 1.5)
-    assert between(keyframes, [_moment(1, posed=False)], SIZE)["a", "0001"][3:6] == SIZE
+    assert interpolate(keyframes, [_moment(1, posed=False)])["a", "0001"][3:6] == (4.5, 2.0, 1.5)
+    assert interpolate(keyframes, [_moment(1, posed=False)], SIZE)["a", "0001"][3:6] == SIZE
 
 
 def test_carried_stands_still_in_the_world() -> None:
     box = _seen(0)
-    there = carried(box, _moment(0), _moment(5))
+    there = carry_box(box, _moment(0), _moment(5))
     assert to_world(there, _moment(5)) == pytest.approx(_world(0))
-    assert carried(box, _moment(0), _moment(5, posed=False)) == box
+    assert carry_box(box, _moment(0), _moment(5, posed=False)) == box
 
 
 def test_propagated_by_its_motion() -> None:
@@ -153,6 +153,6 @@ def test_it_stops_where_the_points_lie_elsewhere() -> None:
 def test_keyframes_ahead_are_kept() -> None:
     ahead = {("a", "0005"): _seen(5)}
     look = _Object({}, {})
-    found = propagate([(_moment(0), _seen(0))], [_moment(row) for row in range(1, 8)], look, known=ahead)
+    found = propagate([(_moment(0), _seen(0))], [_moment(row) for row in range(1, 8)], look, later_keyframes=ahead)
     assert ("a", "0005") not in found.boxes
     assert len(found.boxes) == 6

@@ -183,6 +183,6 @@ def test_shown_and_tracked_boxes_stand_where_the_data_do(kradar: Path, tmp_path:
         in_coordinates(data, "gaussian")
     predictions = as_found(converted(kradar, "radar"))
     with pytest.raises(ConfigError, match="--reference radar"):
-        read_set(predictions, data, format="boxes-csv", protocol="dds", place=0)
+        read_set(predictions, data, format="boxes-csv", protocol="dds", number=0)
     assert main(["track", str(predictions), "--data", str(kradar), "--out", str(tmp_path / "tracks.csv")]) == 0
     assert read_boxes_csv(tmp_path / "tracks.csv").stands_in == "radar"

@@ -289,7 +289,7 @@ class Annotator:
     def _track_prior(self, index: int, track: str) -> tuple[float | None, Size | None, bool]:
         """Yaw of a track in a frame, from its nearest box; its size; whether that is locked."""
         store, key = self.store, self.store.keys[index]
-        drive, row = store.drives.place(key)
+        drive, row = store.drives.locate(key)
         rows = [(member, store.row(member.key, member.name)) for member in store.tracks.boxes(drive, track)]
         others = [
             (abs(member.row - row), member.key, box) for member, box in rows if box is not None and member.key != key

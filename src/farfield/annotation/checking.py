@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from farfield.annotation.motion import turn
+from farfield.annotation.motion import turn_angle
 from farfield.annotation.surroundings import Points, Surroundings, beyond_m, in_box_axes
 from farfield.datasets.labels import BoxLabel, Numbers
 from farfield.frame import Key
@@ -33,7 +33,7 @@ class LabelIssue:
         frame: The frame to jump to.
         box: The box, or None where it is one that is missing.
         track: Its track; empty where it has none.
-        place: Where it is, x and y in the frame, metres: the view goes there.
+        xy_m: Where it is, x and y in the frame, metres: the view goes there.
         ignored: Why a person lets it stand; None where nobody does.
     """
 
@@ -43,13 +43,13 @@ class LabelIssue:
     frame: Key
     box: str | None
     track: str = ""
-    place: tuple[float, float] | None = None
+    xy_m: tuple[float, float] | None = None
     ignored: str | None = None
 
     @property
     def id(self) -> str:
         """The finding's name, the same as long as the check finds it."""
-        where = "" if self.place is None else f"{self.place[0]:.0f},{self.place[1]:.0f}"
+        where = "" if self.xy_m is None else f"{self.xy_m[0]:.0f},{self.xy_m[1]:.0f}"
         return "/".join((self.check, *self.frame, f"at {where}" if self.box is None else self.box))
 
 
@@ -86,9 +86,9 @@ class SensorView(NamedTuple):
 
     def sees(self, x: float, y: float) -> bool:
         """Whether a place is in the view."""
-        whole = self.left_rad - self.right_rad >= 2 * math.pi
+        full_turn = self.left_rad - self.right_rad >= 2 * math.pi
         inside = (math.atan2(y, x) - self.right_rad) % (2 * math.pi) <= (self.left_rad - self.right_rad) % (2 * math.pi)
-        return math.hypot(x, y) <= self.range_m and (whole or inside)
+        return math.hypot(x, y) <= self.range_m and (full_turn or inside)
 
 
 class TrackStep(NamedTuple):
@@ -227,19 +227,19 @@ def check(
         settings: Limits and usual sizes.
         ignored: Reasons by finding (its ``id``) that people gave for letting one stand; those come last.
     """
-    sound = [label for label in boxes if is_sound(label.box)]
-    found = chain(
+    valid = [label for label in boxes if is_valid(label.box)]
+    issues = chain(
         broken(boxes, frame, settings),
-        sizes(sound, frame, settings),
-        overlaps(sound, frame, settings),
+        sizes(valid, frame, settings),
+        overlaps(valid, frame, settings),
         twice(boxes, frame, settings),
-        courses(sound, frame, track, settings),
-        points(sound, frame, settings),
-        disagreements(sound, frame, settings),
+        courses(valid, frame, track, settings),
+        points(valid, frame, settings),
+        disagreements(valid, frame, settings),
     )
     reasons = ignored or {}
-    marked = [replace(each, ignored=reasons[each.id]) if each.id in reasons else each for each in found]
-    return sorted(marked, key=_rank)
+    explained = [replace(issue, ignored=reasons[issue.id]) if issue.id in reasons else issue for issue in issues]
+    return sorted(explained, key=_rank)
 
 
 def _rank(finding: LabelIssue) -> tuple[bool, int]:
@@ -251,13 +251,13 @@ def _rank(finding: LabelIssue) -> tuple[bool, int]:
 
 def finding(scene: CheckedFrame, label: BoxLabel, check: str, severity: Severity, sentence: str) -> LabelIssue:
     """A finding about a box."""
-    place = (label.box[0], label.box[1])
+    xy_m = (label.box[0], label.box[1])
     return LabelIssue(
-        check=check, severity=severity, sentence=sentence, frame=scene.key, box=label.id, track=label.track, place=place
+        check=check, severity=severity, sentence=sentence, frame=scene.key, box=label.id, track=label.track, xy_m=xy_m
     )
 
 
-def is_sound(box: Numbers) -> bool:
+def is_valid(box: Numbers) -> bool:
     """Whether a box can be reckoned with: finite, with positive sizes."""
     return all(map(math.isfinite, box)) and min(box[3:6]) > 0
 
@@ -265,7 +265,7 @@ def is_sound(box: Numbers) -> bool:
 def broken(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Labels that cannot be: not finite, without a size, or where no sensor sees."""
     for label in boxes:
-        if not is_sound(label.box):
+        if not is_valid(label.box):
             sentence = f"{label.label}: size or place is not a number, or a size is not positive."
             yield LabelIssue(
                 check="broken", severity="error", sentence=sentence, frame=scene.key, box=label.id, track=label.track
@@ -285,10 +285,10 @@ def broken(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Itera
 def sizes(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Sizes that the class seldom or never has."""
     for label in boxes:
-        known = settings.sizes.get(label.label)
-        if known is None:
+        range_of_class = settings.sizes.get(label.label)
+        if range_of_class is None:
             continue
-        fault = _size_fault(label.box[3:6], known, settings.size_ratio)
+        fault = _size_fault(label.box[3:6], range_of_class, settings.size_ratio)
         if fault:
             yield finding(scene, label, "size", "warning", f"{label.label}: {fault}")
 
@@ -296,14 +296,17 @@ def sizes(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterat
 _AXES = ("length", "width", "height")
 
 
-def _size_fault(size: tuple[float, ...], known: SizeRange, most: float) -> str:
-    kinds = (known.usual, *known.types)
+def _size_fault(size: tuple[float, ...], range_of_class: SizeRange, most: float) -> str:
+    kinds = (range_of_class.usual, *range_of_class.types)
     fits = any(all(1 / most <= a / b <= most for a, b in zip(size, kind, strict=True)) for kind in kinds)
     for axis, name in enumerate(_AXES):
-        ratio = size[axis] / known.usual[axis]
+        ratio = size[axis] / range_of_class.usual[axis]
         if not fits and not 1 / most <= ratio <= most:
-            return f"{name} {size[axis]:.2f} m is {ratio:.1f} times the usual {known.usual[axis]:.2f} m."
-        low, high = (None if known.low is None else known.low[axis]), (None if known.high is None else known.high[axis])
+            return f"{name} {size[axis]:.2f} m is {ratio:.1f} times the usual {range_of_class.usual[axis]:.2f} m."
+        low, high = (
+            (None if range_of_class.low is None else range_of_class.low[axis]),
+            (None if range_of_class.high is None else range_of_class.high[axis]),
+        )
         if (low is not None and size[axis] < low) or (high is not None and size[axis] > high):
             beyond = "below" if low is not None and size[axis] < low else "above"
             return f"{name} {size[axis]:.2f} m is {beyond} that of 99.5 % of the set."
@@ -316,11 +319,11 @@ def overlaps(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Ite
         return
     iou = np.triu(pairwise_iou(as_set(boxes), as_set(boxes), kind="bev"), 1)
     for row, column in np.argwhere(iou > settings.overlap_iou).tolist():
-        first, second, shared = boxes[row], boxes[column], iou[row, column]
-        twice = shared > settings.duplicate_iou
-        words = "are one object twice" if twice else "stand in each other"
-        sentence = f"{second.label} {second.track} and {first.label} {first.track} {words} (IoU {shared:.2f})."
-        yield finding(scene, second, "overlap", "error" if twice else "warning", sentence)
+        first, second, overlap = boxes[row], boxes[column], iou[row, column]
+        duplicate = overlap > settings.duplicate_iou
+        verb = "are one object twice" if duplicate else "stand in each other"
+        sentence = f"{second.label} {second.track} and {first.label} {first.track} {verb} (IoU {overlap:.2f})."
+        yield finding(scene, second, "overlap", "error" if duplicate else "warning", sentence)
 
 
 def as_set(boxes: Labels) -> Boxes:
@@ -354,42 +357,44 @@ def courses(boxes: Labels, scene: CheckedFrame, tracks: Courses, settings: Check
     """All checks of the tracks that are in the frame."""
     for label in boxes:
         course = tracks.get(label.track) if label.track else None
-        place = None if course is None else _place(course.steps, scene.row)
-        if course is None or place is None:
+        step = None if course is None else _step_of(course.steps, scene.row)
+        if course is None or step is None:
             continue
         if course.frames < settings.shortest_track:
             sentence = f"{label.label} {label.track} is in {course.frames} frames only."
             yield finding(scene, label, "short", "info", sentence)
-        yield from _jump(label, course, place, scene, settings)
-        if place > 0:
-            yield from _since(label, course, place, scene, settings)
+        yield from _jump(label, course, step, scene, settings)
+        if step > 0:
+            yield from _changes_since(label, course, step, scene, settings)
 
 
-def _place(steps: Sequence[TrackStep], row: int) -> int | None:
-    return next((place for place, step in enumerate(steps) if step.row == row), None)
+def _step_of(steps: Sequence[TrackStep], row: int) -> int | None:
+    return next((number for number, step in enumerate(steps) if step.row == row), None)
 
 
-def _since(
-    label: BoxLabel, course: NearbyTrack, place: int, scene: CheckedFrame, settings: CheckSettings
+def _changes_since(
+    label: BoxLabel, course: NearbyTrack, step: int, scene: CheckedFrame, settings: CheckSettings
 ) -> Iterator[LabelIssue]:
     """What changed since the frame before in the track."""
-    before, now = course.steps[place - 1], course.steps[place]
+    before, now = course.steps[step - 1], course.steps[step]
     name, missing = f"{label.label} {label.track}", now.row - before.row - 1
     if 1 <= missing <= settings.longest_gap:
-        words = "is missing in the frame before" if missing == 1 else f"is missing in the {missing} frames before"
-        yield finding(scene, label, "gap", "warning", f"{name} {words}.")
+        gap = "is missing in the frame before" if missing == 1 else f"is missing in the {missing} frames before"
+        yield finding(scene, label, "gap", "warning", f"{name} {gap}.")
     change = max(abs(a / b - 1) for a, b in zip(now.box[3:6], before.box[3:6], strict=True))
     if change > settings.track_size and not course.locked:
         severity: Severity = "warning" if change > settings.track_size_far else "info"
         yield finding(scene, label, "track_size", severity, f"{name} changes its size by {change:.0%}; lock it?")
     time_s = max(now.time_s - before.time_s, 1e-3)
-    turned = abs(turn(before.box[6], now.box[6]))
-    if turned > settings.flip_rad:
-        sentence = f"{name} turns by {math.degrees(turned):.0f} degrees in {time_s:.1f} s: front and back are swapped."
+    turn_rad = abs(turn_angle(before.box[6], now.box[6]))
+    if turn_rad > settings.flip_rad:
+        sentence = (
+            f"{name} turns by {math.degrees(turn_rad):.0f} degrees in {time_s:.1f} s: front and back are swapped."
+        )
         yield finding(scene, label, "turn", "error", sentence)
-    elif turned > min(settings.turn_rad * max(1.0, time_s / FRAME_S), math.pi / 2):
+    elif turn_rad > min(settings.turn_rad * max(1.0, time_s / FRAME_S), math.pi / 2):
         yield finding(
-            scene, label, "turn", "warning", f"{name} turns by {math.degrees(turned):.0f} degrees in {time_s:.1f} s."
+            scene, label, "turn", "warning", f"{name} turns by {math.degrees(turn_rad):.0f} degrees in {time_s:.1f} s."
         )
     speed = math.dist(before.box[:2], now.box[:2]) / time_s
     fastest = settings.fastest_m_s.get(label.label, FASTEST_M_S)
@@ -398,17 +403,17 @@ def _since(
 
 
 def _jump(
-    label: BoxLabel, course: NearbyTrack, place: int, scene: CheckedFrame, settings: CheckSettings
+    label: BoxLabel, course: NearbyTrack, step: int, scene: CheckedFrame, settings: CheckSettings
 ) -> Iterator[LabelIssue]:
     """Distance of the box from constant velocity over its neighbouring frames; reported in the worst frame only."""
     steps = course.steps
     if len(steps) < 3:
         return
-    off = _bend(steps, min(max(place, 1), len(steps) - 2))
+    off = _bend(steps, min(max(step, 1), len(steps) - 2))
     if off is None or off <= settings.jump_m:
         return
-    around = [_bend(steps, other) for other in (place - 1, place + 1) if 1 <= other <= len(steps) - 2]
-    if any(other is not None and other > off for other in around):
+    neighbours = [_bend(steps, other) for other in (step - 1, step + 1) if 1 <= other <= len(steps) - 2]
+    if any(other is not None and other > off for other in neighbours):
         return
     severity: Severity = "error" if off > settings.jump_far_m else "warning"
     sentence = f"{label.label} {label.track} jumps: {off:.1f} m off an even motion over three frames."
@@ -455,8 +460,8 @@ def points(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Itera
         count = int(inside.sum())
         yield from _empty(label, count, scene, settings)
         if settings.extent == "full":
-            left = _left(label, near[beyond > FACE_M, 2], ground)
-            yield from _outside(label, left, count, scene, settings)
+            outside = _left(label, near[beyond > FACE_M, 2], ground)
+            yield from _outside(label, outside, count, scene, settings)
 
 
 def _near(label: BoxLabel, around: Surroundings) -> Points:
@@ -498,10 +503,10 @@ def _left(label: BoxLabel, heights: Float[np.ndarray, " n"], ground: float | Non
 
 
 def _outside(
-    label: BoxLabel, left: int, count: int, scene: CheckedFrame, settings: CheckSettings
+    label: BoxLabel, outside: int, count: int, scene: CheckedFrame, settings: CheckSettings
 ) -> Iterator[LabelIssue]:
-    if left >= FEWEST_OUTSIDE and left + count >= FEWEST_OF_OBJECT and left > settings.ring_share * count:
-        sentence = f"{label.label}: {left} points just outside it, {count} inside: is it large enough?"
+    if outside >= FEWEST_OUTSIDE and outside + count >= FEWEST_OF_OBJECT and outside > settings.ring_share * count:
+        sentence = f"{label.label}: {outside} points just outside it, {count} inside: is it large enough?"
         yield finding(scene, label, "outside", "warning", sentence)
 
 
@@ -513,25 +518,25 @@ MEETS_IOU = 0.05
 
 def disagreements(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Detections without a box, and boxes that confident detections place otherwise."""
-    found = [each for each in scene.detections if each.score > settings.detector_score]
-    if not found:
+    confident = [candidate for candidate in scene.detections if candidate.score > settings.detector_score]
+    if not confident:
         return
-    theirs = as_set([BoxLabel(id="", label=each.label, box=each.box) for each in found])
-    iou = pairwise_iou(theirs, as_set(boxes), kind="bev")
-    for number, detected in enumerate(found):
+    detector_boxes = as_set([BoxLabel(id="", label=candidate.label, box=candidate.box) for candidate in confident])
+    iou = pairwise_iou(detector_boxes, as_set(boxes), kind="bev")
+    for number, detection in enumerate(confident):
         best = int(iou[number].argmax()) if len(boxes) else -1
-        shared = float(iou[number, best]) if len(boxes) else 0.0
-        score = f"score {detected.score:.2f}"
-        if shared < MEETS_IOU:
+        overlap = float(iou[number, best]) if len(boxes) else 0.0
+        score = f"score {detection.score:.2f}"
+        if overlap < MEETS_IOU:
             yield LabelIssue(
                 check="detector",
                 severity="info",
-                sentence=f"The detector sees a {detected.label} without a box ({score}).",
+                sentence=f"The detector sees a {detection.label} without a box ({score}).",
                 frame=scene.key,
                 box=None,
-                place=(detected.box[0], detected.box[1]),
+                xy_m=(detection.box[0], detection.box[1]),
             )
-        elif shared < settings.detector_iou:
+        elif overlap < settings.detector_iou:
             label = boxes[best]
-            sentence = f"{label.label} {label.track}: the detector places it otherwise (IoU {shared:.2f}, {score})."
+            sentence = f"{label.label} {label.track}: the detector places it otherwise (IoU {overlap:.2f}, {score})."
             yield finding(scene, label, "detector", "info", sentence)

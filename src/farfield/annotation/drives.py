@@ -39,31 +39,31 @@ class DriveTable:
         self._index = {key: index for index, key in enumerate(data.keys)}
         self._poses: dict[Key, Float[np.ndarray, "4 4"] | None] = {}
 
-    def place(self, key: Key) -> DriveRowIndex:
+    def locate(self, key: Key) -> DriveRowIndex:
         """A frame's drive and row."""
         return self._place.get(key) or DriveRowIndex("/".join(key), 0)
 
     def keys(self, drive: str) -> tuple[Key, ...]:
         """Frames of a drive in the order of time."""
-        found = self._drives.get(drive)
-        if found is not None:
-            return found.keys
+        member = self._drives.get(drive)
+        if member is not None:
+            return member.keys
         return tuple(key for key in self._index if "/".join(key) == drive and key not in self._place)
 
     def time_s(self, key: Key) -> float:
         """Seconds since the first frame of the drive; by 10 Hz where no times are known."""
-        place = self.place(key)
-        drive = self._drives.get(place.drive)
+        located = self.locate(key)
+        drive = self._drives.get(located.drive)
         if drive is None or drive.times_ns is None:
-            return place.row / RATE_HZ
-        return float(drive.times_ns[place.row] - drive.times_ns[0]) / 1e9
+            return located.row / RATE_HZ
+        return float(drive.times_ns[located.row] - drive.times_ns[0]) / 1e9
 
     def pose(self, key: Key) -> Float[np.ndarray, "4 4"] | None:
         """Pose of a frame in the world, or None; asked of the frame itself where the drive does not tell."""
-        place = self.place(key)
-        drive = self._drives.get(place.drive)
+        located = self.locate(key)
+        drive = self._drives.get(located.drive)
         if drive is not None and drive.world_T_frame is not None:
-            return drive.world_T_frame[place.row]
+            return drive.world_T_frame[located.row]
         if key not in self._poses:
             self._poses[key] = self.data[self._index[key]].world_T_frame
         return self._poses[key]
@@ -106,7 +106,7 @@ class TrackIndex:
 
     def names(self, drive: str) -> list[str]:
         """Tracks of a drive that have a box, numbers first and in their order."""
-        return sorted((track for track, seen in self._loaded(drive).items() if seen), key=_by_number)
+        return sorted((track for track, boxes in self._loaded(drive).items() if boxes), key=_by_number)
 
     def new(self, drive: str) -> str:
         """A track number that the drive does not use."""
@@ -118,8 +118,8 @@ class TrackIndex:
         if tracks is None:
             tracks = {}
             for row, key in enumerate(self._drives.keys(drive)):
-                for found in self._rows(key):
-                    _add(tracks, found.label.track, TrackBox(row, key, found.label.id))
+                for box in self._rows(key):
+                    _add(tracks, box.label.track, TrackBox(row, key, box.label.id))
             self._tracks[drive] = tracks
         return tracks
 
@@ -129,20 +129,20 @@ class TrackIndex:
             if change.cell[0] != "box" or not self._tracks:
                 continue
             key, name = (change.cell[1], change.cell[2]), change.cell[3]
-            place = self._drives.place(key)
-            tracks = self._tracks.get(place.drive)
+            located = self._drives.locate(key)
+            tracks = self._tracks.get(located.drive)
             if tracks is None:
                 continue
-            seen = TrackBox(place.row, key, name)
+            box = TrackBox(located.row, key, name)
             if change.old is not None:
-                tracks.get(change.old.get("track", ""), set()).discard(seen)
+                tracks.get(change.old.get("track", ""), set()).discard(box)
             if change.new is not None:
-                _add(tracks, change.new.get("track", ""), seen)
+                _add(tracks, change.new.get("track", ""), box)
 
 
-def _add(tracks: dict[str, set[TrackBox]], track: str, seen: TrackBox) -> None:
+def _add(tracks: dict[str, set[TrackBox]], track: str, box: TrackBox) -> None:
     if track:
-        tracks.setdefault(track, set()).add(seen)
+        tracks.setdefault(track, set()).add(box)
 
 
 def _by_number(track: str) -> tuple[int, int, str]:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from farfield.annotation.errors import ConflictError, RefusedError
-from farfield.annotation.motion import PropagatedTrack, Refit, TrackFrame, between, propagate, wrapped
+from farfield.annotation.motion import PropagatedTrack, Refit, TrackFrame, interpolate, propagate, wrap_yaw
 from farfield.annotation.store import Plan, Store, StoredBox
 from farfield.datasets.edits import CellEdit, box_cell, numbers, track_cell
 from farfield.datasets.labels import Numbers
@@ -37,7 +37,7 @@ def set_box(store: Store, key: Key, name: str, base: int, value: Value) -> Seque
     row = _present(store, key, name)
     cell = box_cell(key, name)
     old = store.value(cell)
-    new = sound(store, old | dict(value), old)
+    new = validate_box(store, old | dict(value), old)
     if new.get("state") == "proposed" and new["box"] != old["box"] and "state" not in value:
         new["state"] = "edited"
     if new.get("source") in MADE and new["box"] != old["box"] and new.get("state", "accepted") != "proposed":
@@ -62,7 +62,7 @@ def add_box(store: Store, key: Key, name: str, value: Value) -> Sequence[CellEdi
         raise RefusedError("name", f"frame {'/'.join(key)} has a box {name!r} already", "Use a new name.")
     if key not in store.index_of:
         raise RefusedError("frame", f"there is no frame {'/'.join(key)}")
-    new = sound(store, {"state": "edited", **value}, None)
+    new = validate_box(store, {"state": "edited", **value}, None)
     return [store.change(cell, new)]
 
 
@@ -94,28 +94,28 @@ def _present(store: Store, key: Key, name: str) -> StoredBox:
 
 def locked_size(store: Store, key: Key, name: str, new: Value) -> list[CellEdit]:
     """Changes of a track's other boxes to a new size, if the track's size is locked; their bottoms stay."""
-    drive = store.drives.place(key).drive
+    drive = store.drives.locate(key).drive
     cell = track_cell(drive, new["track"])
     track = store.value(cell) or {}
     if not track.get("locked"):
         return []
     size = [float(length) for length in new["box"][3:6]]
     changes = [store.change(cell, {**track, "size": size})]
-    for seen in store.tracks.boxes(drive, new["track"]):
-        if (seen.key, seen.name) != (key, name):
-            other = box_cell(seen.key, seen.name)
-            changes.append(store.change(other, resized(store.value(other), size)))
+    for member in store.tracks.boxes(drive, new["track"]):
+        if (member.key, member.name) != (key, name):
+            other = box_cell(member.key, member.name)
+            changes.append(store.change(other, resize(store.value(other), size)))
     return [change for change in changes if change.old != change.new]
 
 
-def resized(value: Value, size: Sequence[float]) -> dict[str, Any]:
+def resize(value: Value, size: Sequence[float]) -> dict[str, Any]:
     """A box's value with another size, standing where it stood: its middle seen from above and its bottom stay."""
     x, y, z, _, _, height, yaw = value["box"]
     middle = z if size[2] == height else z - height / 2 + size[2] / 2
     return {**value, "box": [x, y, middle, *size, yaw]}
 
 
-def sound(store: Store, value: Value, old: Value | None) -> dict[str, Any]:
+def validate_box(store: Store, value: Value, old: Value | None) -> dict[str, Any]:
     """The value of a box, checked; what did not change is not looked at again.
 
     Raises:
@@ -128,16 +128,16 @@ def sound(store: Store, value: Value, old: Value | None) -> dict[str, Any]:
     unknown = sorted(set(value) - fields)
     if unknown or "box" not in value or "label" not in value:
         raise RefusedError("value", f"a box has {', '.join(sorted(fields))}; got {', '.join(sorted(value))}")
-    new = {name: given for name, given in value.items() if given not in (None, "", {}) or name in ("label", "box")}
+    new = {name: field for name, field in value.items() if field not in (None, "", {}) or name in ("label", "box")}
     if old is None or list(value["box"]) != old["box"]:
         new["box"] = _box(value["box"])
-    _words(store, new, old or {})
-    _kinds(new)
+    _check_terms(store, new, old or {})
+    _check_types(new)
     if new.get("state") == "accepted":
         del new["state"]
-    for name, given in dict(new.get("attributes", {})).items():
-        if given != (old or {}).get("attributes", {}).get(name):
-            fault = store.schema.fault(name, given)
+    for name, field in dict(new.get("attributes", {})).items():
+        if field != (old or {}).get("attributes", {}).get(name):
+            fault = store.schema.fault(name, field)
             if fault:
                 raise RefusedError("attribute", fault, "classes.yaml beside the journal says what there is.")
     return new
@@ -152,12 +152,12 @@ def _box(box: Any) -> list[float]:
         raise RefusedError("box", "expected finite numbers as box")
     if not all(0 < size <= LARGEST_M for size in (length, width, height)):
         raise RefusedError("size", f"expected sizes above 0 and up to {LARGEST_M:g} m, got {length}, {width}, {height}")
-    if not all(abs(place) <= FARTHEST_M for place in (x, y, z)):
+    if not all(abs(coordinate) <= FARTHEST_M for coordinate in (x, y, z)):
         raise RefusedError("place", f"expected a centre within {FARTHEST_M:g} m, got {x}, {y}, {z}")
-    return [x, y, z, length, width, height, wrapped(yaw)]
+    return [x, y, z, length, width, height, wrap_yaw(yaw)]
 
 
-def _kinds(new: Value) -> None:
+def _check_types(new: Value) -> None:
     """What is kept beside the box must be readable again: a damaged value would shut its frame."""
     score, attributes = new.get("score", 0.0), new.get("attributes", {})
     if isinstance(score, bool) or not isinstance(score, int | float) or not math.isfinite(score):
@@ -168,15 +168,15 @@ def _kinds(new: Value) -> None:
         _box(new["proposal"])
 
 
-def _words(store: Store, new: Value, old: Value) -> None:
+def _check_terms(store: Store, new: Value, old: Value) -> None:
     label, track = new["label"], new.get("track", "")
     if label != old.get("label") and label not in store.schema.classes:
-        known = ", ".join(store.schema.classes)
+        classes = ", ".join(store.schema.classes)
         mend = (
             f"Add it under classes in {store.folder.name}/classes.yaml and start anew, or delete that file and start "
             "with --classes NAME:LENGTH,WIDTH,HEIGHT."
         )
-        raise RefusedError("class", f"expected one of the classes {known}, got {label!r}", mend)
+        raise RefusedError("class", f"expected one of the classes {classes}, got {label!r}", mend)
     if not isinstance(track, str) or len(track) > 64:
         raise RefusedError("track", f"expected the name of a track, got {str(track)[:70]!r}")
     if new.get("state", "accepted") not in STATES:
@@ -188,15 +188,15 @@ def _words(store: Store, new: Value, old: Value) -> None:
 # Edits of tracks, each a plan for :meth:`~farfield.annotation.store.Store.edit`; one edit, however many boxes.
 
 
-def moments(store: Store, keys: Iterable[Key]) -> list[TrackFrame]:
+def track_frames(store: Store, keys: Iterable[Key]) -> list[TrackFrame]:
     """Time and pose of some frames."""
     return [TrackFrame(key, store.drives.time_s(key), store.drives.pose(key)) for key in keys]
 
 
 def boxes_of(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
     """The boxes of a track that stand (rejected ones left out): row in the drive, frame, box; in the order of time."""
-    found = [(seen.row, seen.key, store.row(seen.key, seen.name)) for seen in store.tracks.boxes(drive, track)]
-    return [(row, key, box) for row, key, box in found if box is not None and box.label.state != "rejected"]
+    rows = [(member.row, member.key, store.row(member.key, member.name)) for member in store.tracks.boxes(drive, track)]
+    return [(row, key, box) for row, key, box in rows if box is not None and box.label.state != "rejected"]
 
 
 def set_track(
@@ -253,8 +253,8 @@ def _altered(store: Store, key: Key, box: StoredBox, label: str | None, size: Se
     old = store.value(cell)
     new = dict(old) if label is None else {**old, "label": label}
     if size is not None:
-        new = resized(new, size)
-    return [store.change(cell, sound(store, new, old))] if new != old else []
+        new = resize(new, size)
+    return [store.change(cell, validate_box(store, new, old))] if new != old else []
 
 
 def _existing(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
@@ -290,10 +290,10 @@ def merge_tracks(store: Store, drive: str, track: str, into: str, base: int, int
         RefusedError: If there is no such track, or both have a box in one frame.
         ConflictError: If somebody changed either since.
     """
-    mine, theirs = _existing(store, drive, track), _existing(store, drive, into)
+    boxes, into_boxes = _existing(store, drive, track), _existing(store, drive, into)
     if track == into:
         raise RefusedError("track", f"track {track} cannot be merged with itself")
-    both = sorted({row for row, _, _ in mine} & {row for row, _, _ in theirs})
+    both = sorted({row for row, _, _ in boxes} & {row for row, _, _ in into_boxes})
     if both:
         frames = ", ".join(store.drives.keys(drive)[row][1] for row in both[:3])
         mend = "Delete one of the two boxes there first."
@@ -301,17 +301,17 @@ def merge_tracks(store: Store, drive: str, track: str, into: str, base: int, int
             "overlap", f"tracks {track} and {into} both have a box in {len(both)} frames ({frames})", mend
         )
     other = store.value(track_cell(drive, into)) or {}
-    label = theirs[-1][2].label.label
+    label = into_boxes[-1][2].label.label
     size = other.get("size") if other.get("locked") else None
     changes = [
         store.change(track_cell(drive, track), None, base=base),
         store.change(track_cell(drive, into), other or None, base=into_base),
     ]
-    for _, key, box in mine:
+    for _, key, box in boxes:
         cell = box_cell(key, box.label.id)
         old = store.value(cell)
         new = {**old, "track": into, "label": label}
-        changes.append(store.change(cell, sound(store, new if size is None else resized(new, size), old)))
+        changes.append(store.change(cell, validate_box(store, new if size is None else resize(new, size), old)))
     return changes
 
 
@@ -336,7 +336,7 @@ def split_track(store: Store, drive: str, track: str, frame: str, new_track: str
     for key, box in later:
         cell = box_cell(key, box.label.id)
         old = store.value(cell)
-        changes.append(store.change(cell, sound(store, {**old, "track": new_track}, old)))
+        changes.append(store.change(cell, validate_box(store, {**old, "track": new_track}, old)))
     return changes
 
 
@@ -359,17 +359,17 @@ def interpolate_track(store: Store, drive: str, track: str, first: int, last: in
     if len(keyframes) < 2:
         raise RefusedError("keyframes", f"track {track} has {len(keyframes)} keyframes", "Set two or more (key K).")
     keys = store.drives.keys(drive)
-    wanted = moments(store, keys[max(first, 0) : last + 1])
-    anchors = moments(store, (key for key, _ in keyframes))
-    placed = [(moment, box.label.box) for moment, (_, box) in zip(anchors, keyframes, strict=True)]
+    frames = track_frames(store, keys[max(first, 0) : last + 1])
+    anchors = track_frames(store, (key for key, _ in keyframes))
+    keyframe_boxes = [(moment, box.label.box) for moment, (_, box) in zip(anchors, keyframes, strict=True)]
     size = (store.value(track_cell(drive, track)) or {}).get("size")
-    return fill(store, drive, track, between(placed, wanted, size), "interpolated", prefix)
+    return fill_track(store, drive, track, interpolate(keyframe_boxes, frames, size), "interpolated", prefix)
 
 
 def propagate_track(
     store: Store, drive: str, track: str, first: int, last: int, refit: Refit | None = None
 ) -> PropagatedTrack:
-    """Where a track goes on from a frame; :func:`fill` makes an edit of it.
+    """Where a track goes on from a frame; :func:`fill_track` makes an edit of it.
 
     It reads the annotation and changes nothing, so that the fits, which take time, hold up nobody's edits.
 
@@ -395,14 +395,14 @@ def propagate_track(
         last = min(last, ends)
     before = [row for row in sorted(boxes, reverse=step < 0) if (first - row) * step >= 0]
     anchors = [row for row in before if row == first or boxes[row][1].label.keyframe]
-    trail = moments(store, (boxes[row][0] for row in anchors))
-    placed = [(moment, boxes[row][1].label.box) for moment, row in zip(trail, anchors, strict=True)]
+    trail = track_frames(store, (boxes[row][0] for row in anchors))
+    keyframe_boxes = [(moment, boxes[row][1].label.box) for moment, row in zip(trail, anchors, strict=True)]
     ahead = [keys[row] for row in range(first + step, last + step, step) if 0 <= row < len(keys)]
-    known = {key: box.label.box for key, box in boxes.values() if box.label.keyframe and key in ahead}
-    return propagate(placed, moments(store, ahead), refit, known=known)
+    later_keyframes = {key: box.label.box for key, box in boxes.values() if box.label.keyframe and key in ahead}
+    return propagate(keyframe_boxes, track_frames(store, ahead), refit, later_keyframes=later_keyframes)
 
 
-def fill(
+def fill_track(
     store: Store, drive: str, track: str, boxes: Mapping[Key, Numbers], source: str, prefix: str
 ) -> list[CellEdit]:
     """Put boxes of a track into frames, with class and attributes of the keyframe before; keyframes stay.
@@ -418,25 +418,25 @@ def fill(
     Raises:
         RefusedError: If a box is not possible, such as one beyond a kilometre.
     """
-    present = {key: box for _, key, box in boxes_of(store, drive, track)}
+    track_boxes = {key: box for _, key, box in boxes_of(store, drive, track)}
     rows = {key: row for row, key in enumerate(store.drives.keys(drive))}
-    keyframes = [(rows[key], box) for key, box in present.items() if box.label.keyframe]
+    keyframes = [(rows[key], box) for key, box in track_boxes.items() if box.label.keyframe]
     if not keyframes:
         raise RefusedError("keyframes", f"track {track} has no keyframe", "Set one (key K).")
     changes = []
     for key, box in boxes.items():
-        old = present.get(key)
+        old = track_boxes.get(key)
         if old is not None and old.label.keyframe:
             continue
         before = [box for row, box in keyframes if row <= rows[key]] or [keyframes[0][1]]
         cell = box_cell(key, f"{prefix}.{rows[key]}"[-64:] if old is None else old.label.id)
         value: dict[str, Any] = {"label": before[-1].label.label, "box": list(box), "track": track}
         value |= {"state": "edited", "source": source, "attributes": dict(before[-1].label.attributes)}
-        changes.append(store.change(cell, sound(store, value, None)))
+        changes.append(store.change(cell, validate_box(store, value, None)))
     return [change for change in changes if change.old != change.new]
 
 
-def together(plans: Sequence[Plan], store: Store) -> Sequence[CellEdit]:
+def combine(plans: Sequence[Plan], store: Store) -> Sequence[CellEdit]:
     """Several plans as one edit, such as one nudge of all boxes that are selected, or a row that is accepted.
 
     Raises:

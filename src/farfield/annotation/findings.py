@@ -16,7 +16,7 @@ from farfield.annotation.checking import (
     check,
 )
 from farfield.annotation.motion import TrackFrame, to_world
-from farfield.annotation.notes import ignored
+from farfield.annotation.notes import ignored_findings
 from farfield.annotation.store import Store, StoredBox
 from farfield.annotation.surroundings import Surroundings
 from farfield.datasets.edits import track_cell
@@ -65,35 +65,35 @@ def findings(
         detections: What a detector found.
     """
     with store.lock:
-        place = store.drives.place(key)
+        located = store.drives.locate(key)
         boxes = [row.label for row in store.rows(key) if row.label.state != "rejected"]
         tracks = {label.track for label in boxes if label.track}
-        courses = {track: course(store, place.drive, track, place.row) for track in tracks}
-        reasons = ignored(store)
-    scene = CheckedFrame(key=key, row=place.row, around=around, detections=detections)
+        courses = {track: nearby_track(store, located.drive, track, located.row) for track in tracks}
+        reasons = ignored_findings(store)
+    scene = CheckedFrame(key=key, row=located.row, around=around, detections=detections)
     return check(boxes, scene, courses, settings, ignored=reasons)
 
 
-def course(store: Store, drive: str, track: str, row: int) -> NearbyTrack:
+def nearby_track(store: Store, drive: str, track: str, row: int) -> NearbyTrack:
     """A track in the frames around one; of two boxes in one frame the first counts."""
-    seen = store.tracks.boxes(drive, track)
-    near = {each.row: each for each in reversed(seen) if abs(each.row - row) <= AROUND}
-    found: list[tuple[TrackFrame, StoredBox]] = []
-    for each in (near[place] for place in sorted(near)):
-        box = store.row(each.key, each.name)
+    members = store.tracks.boxes(drive, track)
+    near = {member.row: member for member in reversed(members) if abs(member.row - row) <= AROUND}
+    frames: list[tuple[TrackFrame, StoredBox]] = []
+    for member in (near[frame_row] for frame_row in sorted(near)):
+        box = store.row(member.key, member.name)
         if box is not None and box.label.state != "rejected":
-            moment = TrackFrame(each.key, store.drives.time_s(each.key), store.drives.pose(each.key))
-            found.append((moment, box))
-    posed = all(moment.world_T_frame is not None for moment, _ in found)
+            moment = TrackFrame(member.key, store.drives.time_s(member.key), store.drives.pose(member.key))
+            frames.append((moment, box))
+    posed = all(moment.world_T_frame is not None for moment, _ in frames)
     rows = store.drives
     steps = [
         TrackStep(
-            rows.place(moment.key).row, moment.time_s, to_world(box.label.box, moment) if posed else box.label.box
+            rows.locate(moment.key).row, moment.time_s, to_world(box.label.box, moment) if posed else box.label.box
         )
-        for moment, box in found
+        for moment, box in frames
     ]
     locked = bool((store.value(track_cell(drive, track)) or {}).get("locked"))
-    return NearbyTrack(steps, len({each.row for each in seen}), posed=posed, locked=locked)
+    return NearbyTrack(steps, len({member.row for member in members}), posed=posed, locked=locked)
 
 
 def all_findings(store: Store, settings: CheckSettings) -> Iterator[LabelIssue]:
@@ -120,18 +120,18 @@ def size_ranges(labels: Iterable[BoxLabel], presets: Mapping[str, SizeRange]) ->
     for label in labels:
         if min(label.box[3:6]) > 0 and np.isfinite(label.box[3:6]).all():
             by_class.setdefault(label.label, []).append(label.box[3:6])
-    found = dict(presets)
+    ranges = dict(presets)
     for name, sizes in by_class.items():
         if len(sizes) >= FEWEST:
             low, high = np.percentile(sizes, PARTS, axis=0)
-            types = found[name].types if name in found else ()
-            found[name] = SizeRange(
+            types = ranges[name].types if name in ranges else ()
+            ranges[name] = SizeRange(
                 usual=_three(np.median(sizes, axis=0)),
                 low=_three((1 - ROOM) * low),
                 high=_three((1 + ROOM) * high),
                 types=types,
             )
-    return found
+    return ranges
 
 
 def _three(values: np.ndarray) -> tuple[float, float, float]:

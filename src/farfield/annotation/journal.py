@@ -116,15 +116,15 @@ class EditJournal:
                 raise ValueError(f"Journal.append: the id {id!r} was used by edit {self._ids[id]}")
             seq = len(self._starts) + 1
             record = Record(seq, id, time.time_ns(), by, window, op, tuple(changes), group, tuple(undoes), data)
-            line, done = encode(record), Future[Record]()
-            done.set_running_or_notify_cancel()  # whoever waits may go away; the edit stays
+            line, future = encode(record), Future[Record]()
+            future.set_running_or_notify_cancel()  # whoever waits may go away; the edit stays
             self._take(record)
             self._starts.append(self._end)
             self._end += len(line)
             self._ids[id] = seq
-            self._waiting.append((line, record, done))
+            self._waiting.append((line, record, future))
             self._changed.notify()
-        return record, done
+        return record, future
 
     def read(self, seq: int) -> Record:
         """An edit by its number.
@@ -146,12 +146,12 @@ class EditJournal:
     def pending(self, seq: int) -> "Future[Record]":
         """A future that is done when the edit is on the disk, also long after."""
         with self._changed:
-            for _, record, done in (*self._writing, *self._waiting):
+            for _, record, future in (*self._writing, *self._waiting):
                 if record.seq == seq:
-                    return done
-        done = Future[Record]()
-        done.set_result(self.read(seq))
-        return done
+                    return future
+        future = Future[Record]()
+        future.set_result(self.read(seq))
+        return future
 
     def _write(self) -> None:
         while True:
@@ -170,8 +170,8 @@ class EditJournal:
                 return
             with self._changed:
                 self._writing = []
-            for _, record, done in batch:
-                done.set_result(record)
+            for _, record, future in batch:
+                future.set_result(record)
 
     def _fail(self, error: OSError) -> None:
         with self._changed:
@@ -179,10 +179,10 @@ class EditJournal:
                 f"{self.path}: edits could not be written ({error.strerror or error}). Those that were acknowledged "
                 "are safe. Make room or repair the disk, then start the studio again."
             )
-            lost = [done for _, _, done in (*self._writing, *self._waiting)]
+            futures = [future for _, _, future in (*self._writing, *self._waiting)]
             self._writing, self._waiting = [], []
-        for done in lost:
-            done.set_exception(JournalError(self._failure))
+        for future in futures:
+            future.set_exception(JournalError(self._failure))
 
     def close(self) -> None:
         """Write what waits and let the journal go."""
@@ -275,7 +275,7 @@ def network_file_system(folder: Path) -> str:
         mounts = [line.split(" ")[1:3] for line in MOUNTS.read_text(errors="replace").splitlines()]
     except OSError:  # no such list on this system
         return ""
-    place = folder.resolve()
-    over = [(len(point), kind) for point, kind in mounts if place.is_relative_to(point.replace("\\040", " "))]
+    real_folder = folder.resolve()
+    over = [(len(point), kind) for point, kind in mounts if real_folder.is_relative_to(point.replace("\\040", " "))]
     kind = max(over, default=(0, ""))[1]
     return kind if kind in NETWORK else ""

@@ -70,8 +70,8 @@ class LabelFiles:
             path = self.path_of[key]
             data = self.before(path)
             keys = self.keys_of[path]
-            found = {} if data is None else self.format.parse(data, path, keys)
-            self._labels |= {each: tuple(found.get(each, ())) for each in keys}
+            frames = {} if data is None else self.format.parse(data, path, keys)
+            self._labels |= {frame_key: tuple(frames.get(frame_key, ())) for frame_key in keys}
         return self._labels[key]
 
     def before(self, path: Path) -> bytes | None:
@@ -81,21 +81,21 @@ class LabelFiles:
             DatasetError: If the file, or the copy of what it was, is in a state that nobody knows.
         """
         data = _read(path)
-        known = self._known.get(self.relative(path))
-        if known is None:
+        digests = self._known.get(self.relative(path))
+        if digests is None:
             return data
-        if digest(data) not in known:
+        if digest(data) not in digests:
             raise DatasetError(
                 f"{path}: was changed by another program since it was annotated here, and edits could hit other "
                 f"objects. Put back the file as it was (a copy of its first state lies in {self.folder / ORIGINAL}, "
                 "once it was saved), or move the journal's folder away to begin anew from the file as it is."
             )
-        if digest(data) == known[0]:
+        if digest(data) == digests[0]:
             return data
-        if known[0] == MISSING:
+        if digests[0] == MISSING:
             return None
         copy = _read(self.copy_of(path))
-        if digest(copy) != known[0]:
+        if digest(copy) != digests[0]:
             raise DatasetError(f"{self.copy_of(path)}: expected the file as it was before the first edit; it differs")
         return copy
 
@@ -124,15 +124,15 @@ class LabelFiles:
         return all(self._was_missing(path) for path in self.keys_of)
 
     def _was_missing(self, path: Path) -> bool:
-        known = self._known.get(self.relative(path))
-        return not path.is_file() if known is None else known[0] == MISSING
+        digests = self._known.get(self.relative(path))
+        return not path.is_file() if digests is None else digests[0] == MISSING
 
     def of(self, keys: Iterable[Key]) -> dict[Path, list[Key]]:
         """The files of some frames, each with those frames."""
-        found: dict[Path, list[Key]] = {}
+        files: dict[Path, list[Key]] = {}
         for key in keys:
-            found.setdefault(self.path_of[key], []).append(key)
-        return found
+            files.setdefault(self.path_of[key], []).append(key)
+        return files
 
 
 def _read(path: Path) -> bytes | None:

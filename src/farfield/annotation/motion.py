@@ -40,32 +40,32 @@ class TrackFrame(NamedTuple):
     world_T_frame: Pose | None
 
 
-def moved(box: Numbers, target_T_source: Pose) -> Numbers:
+def transform_box(box: Numbers, target_T_source: Pose) -> Numbers:
     """A box in other coordinates; its heading is that of its moved length axis, seen from above."""
     rotation = target_T_source[:3, :3]
     heading = rotation @ np.array([np.cos(box[6]), np.sin(box[6]), 0.0])
     x, y, z = (rotation @ np.array(box[:3]) + target_T_source[:3, 3]).tolist()
-    return x, y, z, box[3], box[4], box[5], wrapped(float(np.arctan2(heading[1], heading[0])))
+    return x, y, z, box[3], box[4], box[5], wrap_yaw(float(np.arctan2(heading[1], heading[0])))
 
 
 def to_world(box: Numbers, moment: TrackFrame) -> Numbers:
     """A frame's box in the world."""
-    return box if moment.world_T_frame is None else moved(box, moment.world_T_frame)
+    return box if moment.world_T_frame is None else transform_box(box, moment.world_T_frame)
 
 
 def from_world(box: Numbers, moment: TrackFrame) -> Numbers:
     """A box of the world in a frame's coordinates."""
-    return box if moment.world_T_frame is None else moved(box, invert(moment.world_T_frame))
+    return box if moment.world_T_frame is None else transform_box(box, invert(moment.world_T_frame))
 
 
-def carried(box: Numbers, source: TrackFrame, target: TrackFrame) -> Numbers:
+def carry_box(box: Numbers, source: TrackFrame, target: TrackFrame) -> Numbers:
     """A box that stands still in the world, in the coordinates of another frame."""
     if source.world_T_frame is None or target.world_T_frame is None:
         return box
     return from_world(to_world(box, source), target)
 
 
-def between(
+def interpolate(
     keyframes: Sequence[tuple[TrackFrame, Numbers]],
     moments: Sequence[TrackFrame],
     size_m: Sequence[float] | None = None,
@@ -84,19 +84,19 @@ def between(
     """
     posed = all(moment.world_T_frame is not None for moment in (*moments, *(moment for moment, _ in keyframes)))
     times_s = np.array([moment.time_s for moment, _ in keyframes])
-    placed = [to_world(box, moment) if posed else box for moment, box in keyframes]
-    centres = np.array([box[:3] for box in placed])
+    world_boxes = [to_world(box, moment) if posed else box for moment, box in keyframes]
+    centres = np.array([box[:3] for box in world_boxes])
     speeds = np.gradient(centres, times_s, axis=0)
-    found: dict[Key, Numbers] = {}
+    boxes: dict[Key, Numbers] = {}
     for moment in moments:
         after = int(np.searchsorted(times_s, moment.time_s))
         if 0 < after < len(times_s) and moment.time_s != times_s[after]:
             part = slice(after - 1, after + 1)
             x, y, z = _curve(times_s[part], centres[part], speeds[part], moment.time_s)
             share = float((moment.time_s - times_s[after - 1]) / (times_s[after] - times_s[after - 1]))
-            box = (x, y, z, *_turned(placed[after - 1], placed[after], share, size_m))
-            found[moment.key] = from_world(box, moment) if posed else box
-    return found
+            box = (x, y, z, *_turned(world_boxes[after - 1], world_boxes[after], share, size_m))
+            boxes[moment.key] = from_world(box, moment) if posed else box
+    return boxes
 
 
 def _curve(
@@ -121,7 +121,7 @@ def _turned(
     """Size and heading a share of the way between two boxes."""
     between_m = (before + share * (after - before) for before, after in zip(first[3:6], second[3:6], strict=True))
     length, width, height = between_m if size_m is None else (float(size) for size in size_m)
-    return length, width, height, wrapped(first[6] + share * turn(first[6], second[6]))
+    return length, width, height, wrap_yaw(first[6] + share * turn_angle(first[6], second[6]))
 
 
 class RefitBox(NamedTuple):
@@ -157,7 +157,7 @@ def propagate(
     moments: Sequence[TrackFrame],
     refit: Refit | None = None,
     *,
-    known: Mapping[Key, Numbers] | None = None,
+    later_keyframes: Mapping[Key, Numbers] | None = None,
 ) -> PropagatedTrack:
     """Carry an object on by constant velocity, fitted again in every frame.
 
@@ -168,14 +168,14 @@ def propagate(
         keyframes: Frames with boxes that a person stands for; the velocity is that of the last 3, nearest last.
         moments: Frames to go on to, the nearest first; backwards in time too.
         refit: Fits the object; None: it goes where its motion takes it.
-        known: Keyframes among ``moments``: they are kept, and it goes on from them.
+        later_keyframes: Keyframes among ``moments``: they are kept, and it goes on from them.
     """
     trail = [(moment.time_s, to_world(box, moment)) for moment, box in keyframes][-KEYFRAMES:]
-    found: dict[Key, Numbers] = {}
+    boxes: dict[Key, Numbers] = {}
     blind: list[Key] = []
     for moment in moments:
-        if known and moment.key in known:
-            trail, blind = [*trail[1 - KEYFRAMES :], (moment.time_s, to_world(known[moment.key], moment))], []
+        if later_keyframes and moment.key in later_keyframes:
+            trail, blind = [*trail[1 - KEYFRAMES :], (moment.time_s, to_world(later_keyframes[moment.key], moment))], []
             continue
         expected, speed = _expected(trail, moment.time_s)
         window_m = WINDOW_M + WINDOW_S * speed * abs(moment.time_s - trail[-1][0])
@@ -183,17 +183,17 @@ def propagate(
         fit = RefitBox(guess, FEWEST_POINTS) if refit is None else refit(moment.key, guess, window_m)
         if fit.box is None or fit.points < FEWEST_POINTS:
             blind.append(moment.key)
-            found[moment.key] = guess
+            boxes[moment.key] = guess
             if len(blind) == LONGEST_BLIND:
-                return PropagatedTrack(_without(found, blind), _lost(blind[0]))
+                return PropagatedTrack(_without(boxes, blind), _lost(blind[0]))
             continue
         off_m = float(np.hypot(fit.box[0] - guess[0], fit.box[1] - guess[1]))
         if off_m > window_m:
-            return PropagatedTrack(_without(found, blind), _astray(moment.key, off_m, window_m))
+            return PropagatedTrack(_without(boxes, blind), _astray(moment.key, off_m, window_m))
         blind = []
-        found[moment.key] = fit.box
+        boxes[moment.key] = fit.box
         trail = [*trail[1 - KEYFRAMES :], (moment.time_s, to_world(fit.box, moment))]
-    return PropagatedTrack(_without(found, blind), _lost(blind[0]) if blind and refit is not None else "")
+    return PropagatedTrack(_without(boxes, blind), _lost(blind[0]) if blind and refit is not None else "")
 
 
 def _expected(trail: Sequence[tuple[float, Numbers]], time_s: float) -> tuple[Numbers, float]:
@@ -209,8 +209,8 @@ def _expected(trail: Sequence[tuple[float, Numbers]], time_s: float) -> tuple[Nu
     return (x, y, z, *last[3:]), float(np.hypot(velocity[0], velocity[1]))
 
 
-def _without(found: Mapping[Key, Numbers], blind: Sequence[Key]) -> dict[Key, Numbers]:
-    return {key: box for key, box in found.items() if key not in blind}
+def _without(boxes: Mapping[Key, Numbers], blind: Sequence[Key]) -> dict[Key, Numbers]:
+    return {key: box for key, box in boxes.items() if key not in blind}
 
 
 def _lost(key: Key) -> str:
@@ -227,7 +227,7 @@ def _astray(key: Key, off_m: float, window_m: float) -> str:
 # Yaw angles as single numbers: wrapped, and compared by the shorter way round.
 
 
-def wrapped(yaw_rad: float) -> float:
+def wrap_yaw(yaw_rad: float) -> float:
     """A yaw in [-pi, pi); one that lies there keeps every bit.
 
     >>> wrapped(3 * math.pi / 2) == -math.pi / 2
@@ -239,10 +239,10 @@ def wrapped(yaw_rad: float) -> float:
     return turned if turned < math.pi else -math.pi
 
 
-def turn(before_rad: float, after_rad: float) -> float:
+def turn_angle(before_rad: float, after_rad: float) -> float:
     """How far a heading turns from one to another, the shorter way, in [-pi, pi).
 
     >>> round(turn(3.0, -3.0), 3)
     0.283
     """
-    return wrapped(after_rad - before_rad)
+    return wrap_yaw(after_rad - before_rad)

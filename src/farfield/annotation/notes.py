@@ -52,7 +52,7 @@ def _note(store: Store, cell: tuple[str, ...], text: str | None) -> Sequence[Cel
     return [store.change(cell, text)] if store.value(cell) != text else []
 
 
-def ignored(store: Store) -> Mapping[str, str]:
+def ignored_findings(store: Store) -> Mapping[str, str]:
     """Reasons by finding."""
     return {cell[1]: str(standing.value) for cell, standing in store.state.of_kind(IGNORED) if standing.value}
 
@@ -82,19 +82,19 @@ class Mark(NamedTuple):
 
 def bookmarks(store: Store) -> tuple[Mark, ...]:
     """All bookmarks in the order of the frames."""
-    found = [
+    marks = [
         Mark((cell[1], cell[2]), standing.value, standing.by)
         for cell, standing in store.state.of_kind(BOOKMARK)
         if standing.value is not None
     ]
-    return tuple(sorted(found, key=partial(_place, store)))
+    return tuple(sorted(marks, key=partial(_place, store)))
 
 
 def _place(store: Store, mark: Mark) -> int:
     return store.index_of[mark.key]
 
 
-def worked(store: Store, author: Author, id: str, key: Key, name: str, seconds: float, edits: int) -> EditResult:
+def record_time(store: Store, author: Author, id: str, key: Key, name: str, seconds: float, edits: int) -> EditResult:
     """Record how long an annotator worked on a box, from its selection to the next one.
 
     Args:
@@ -139,7 +139,7 @@ class AnnotationWork(NamedTuple):
         return self.seconds / self.boxes if self.boxes else 0.0
 
 
-def work(store: Store) -> Mapping[str, AnnotationWork]:
+def annotation_work(store: Store) -> Mapping[str, AnnotationWork]:
     """Work by annotator, from the whole journal."""
     seconds: dict[str, dict[tuple[str, ...], float]] = defaultdict(lambda: defaultdict(float))
     edits: dict[str, int] = defaultdict(int)

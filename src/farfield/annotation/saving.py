@@ -35,12 +35,12 @@ class SavedLabels(NamedTuple):
     Args:
         folder: Where.
         files: The files that were written; those that hold the right bytes already are left alone.
-        done: The journal's note of it.
+        edit: The journal's note of it.
     """
 
     folder: Path
     files: tuple[Path, ...]
-    done: EditResult
+    edit: EditResult
 
 
 class SaveSummary(NamedTuple):
@@ -75,9 +75,9 @@ def save(
         return SaveSummary(len(paths), export.name, store.state.seq)
     if target is None:
         saved = save_in_place(store, author, id)
-        return SaveSummary(len(saved.files), "the data set's label files", saved.done.record.seq)
+        return SaveSummary(len(saved.files), "the data set's label files", saved.edit.record.seq)
     saved = save_copy(store, author, id, target)
-    return SaveSummary(len(saved.files), target.name, saved.done.record.seq)
+    return SaveSummary(len(saved.files), target.name, saved.edit.record.seq)
 
 
 def save_target(store: Store, out: Path | None, *, write: bool = False) -> Path | None:
@@ -149,14 +149,14 @@ def rendered(store: Store, path: Path, keys: Sequence[Key]) -> bytes | None:
 
 def changed_files(store: Store) -> dict[Path, bytes | None]:
     """Files whose bytes differ from what stands on the disk, with the bytes that they are to get (None: no file)."""
-    found: dict[Path, bytes | None] = {}
+    files: dict[Path, bytes | None] = {}
     with store.lock:
         for path, keys in store.files.of(store.state.frames()).items():
             data = rendered(store, path, keys)
             present = read_bytes(path) if path.is_file() else None
             if data != present:
-                found[path] = data
-    return found
+                files[path] = data
+    return files
 
 
 def save_in_place(store: Store, author: Author, id: str) -> SavedLabels:
@@ -181,11 +181,11 @@ def save_in_place(store: Store, author: Author, id: str) -> SavedLabels:
             for path in files:
                 store.files.keep_original(path)
             states = {store.files.relative(path): digest(data) for path, data in files.items()}
-            done = store.edit(author, id, SAVE, _nothing, data={"files": states} if states else None)
-        done.saved.result()
+            note = store.edit(author, id, SAVE, _nothing, data={"files": states} if states else None)
+        note.saved.result()
         for path, data in files.items():
-            _put(path, data)
-    return SavedLabels(store.files.root, tuple(files), done)
+            _write_or_remove(path, data)
+    return SavedLabels(store.files.root, tuple(files), note)
 
 
 def save_copy(store: Store, author: Author, id: str, folder: Path) -> SavedLabels:
@@ -210,9 +210,9 @@ def save_copy(store: Store, author: Author, id: str, folder: Path) -> SavedLabel
         ]
         if written:
             sync()
-        done = store.edit(author, id, SAVE, _nothing, data={"folder": str(folder), "count": len(written)})
+        note = store.edit(author, id, SAVE, _nothing, data={"folder": str(folder), "count": len(written)})
         written = [folder / store.files.relative(path) for path in written]
-    return SavedLabels(folder, tuple(written), done)
+    return SavedLabels(folder, tuple(written), note)
 
 
 def _current(store: Store, path: Path, keys: Sequence[Key] | None) -> bytes | None:
@@ -257,8 +257,8 @@ def export_labels(store: Store, labels: LabelFormat, keys: Sequence[Key]) -> tup
     with store.lock:
         for key in keys:
             parts.setdefault(labels.path(key), {})[key] = _renumbered(written_labels(store, key))
-    for path, wanted in parts.items():
-        _put(path, labels.render(None, path, wanted))
+    for path, labels_of in parts.items():
+        _write_or_remove(path, labels.render(None, path, labels_of))
     return tuple(parts)
 
 
@@ -282,7 +282,7 @@ def _nothing(store: Store) -> Sequence[CellEdit]:
 
 
 def _renumbered(labels: Sequence[BoxLabel]) -> tuple[BoxLabel, ...]:
-    return tuple(replace(label, id=f"n{place}") for place, label in enumerate(labels))
+    return tuple(replace(label, id=f"n{number}") for number, label in enumerate(labels))
 
 
 def _differs(path: Path, data: bytes | None) -> bool:
@@ -291,7 +291,7 @@ def _differs(path: Path, data: bytes | None) -> bool:
     return path.stat().st_size != len(data) or read_bytes(path) != data
 
 
-def _put(path: Path, data: bytes | None) -> None:
+def _write_or_remove(path: Path, data: bytes | None) -> None:
     if data is None:
         path.unlink(missing_ok=True)
         return
@@ -301,13 +301,13 @@ def _put(path: Path, data: bytes | None) -> None:
 
 def _claim(folder: Path, store: Store) -> None:
     mark = folder / MARK
-    words = f"{store.data.name} {store.files.root.name}\n"
+    owner = f"{store.data.name} {store.files.root.name}\n"
     if folder.is_dir() and any(folder.iterdir()):
-        ours = mark.is_file() and read_bytes(mark, max_bytes=4096).decode(errors="replace") == words
+        ours = mark.is_file() and read_bytes(mark, max_bytes=4096).decode(errors="replace") == owner
         if not ours:
             raise ConfigError(
                 f"{folder}: expected a new or empty folder, or one of an earlier save of these labels; it holds "
                 "something else. Name another."
             )
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(mark, words)
+    write_text(mark, owner)

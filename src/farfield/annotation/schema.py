@@ -80,8 +80,8 @@ class Schema(BaseModel):
         if settings is None:
             return f"attribute {name!r}: expected one of {', '.join(self.attributes) or 'none'}"
         if settings.values:
-            known = ", ".join(map(str, settings.values))
-            return "" if value in settings.values else f"{name}: expected one of {known}, got {value!r}"
+            values = ", ".join(map(str, settings.values))
+            return "" if value in settings.values else f"{name}: expected one of {values}, got {value!r}"
         kinds: dict[str, type | tuple[type, ...]] = {"text": str, "number": (int, float), "flag": bool}
         right = isinstance(value, kinds[settings.kind]) and (settings.kind == "flag" or not isinstance(value, bool))
         return "" if right else f"{name}: expected a {settings.kind}, got {value!r}"
@@ -92,8 +92,8 @@ FASTEST_M_S = {"pedestrian": 4.0, "bicycle": 15.0}
 
 def fastest(label: str) -> float:
     """Speed beyond which a road user of a class is not believed, m/s: people 4, bicycles 15, others 60."""
-    words = label.lower()
-    return next((speed for word, speed in FASTEST_M_S.items() if word in words), 60.0)
+    name = label.lower()
+    return next((speed for part, speed in FASTEST_M_S.items() if part in name), 60.0)
 
 
 def schema_of(
@@ -105,8 +105,8 @@ def schema_of(
     classes = {
         name: ClassSettings(size_m=tuple(map(float, size)), fastest_m_s=fastest(name)) for name, size in sizes_m.items()
     }
-    known = {name: AttributeSettings(values=tuple(values)) for name, values in (attributes or {}).items()}
-    return Schema(extent=extent, classes=classes, attributes=known)
+    settings = {name: AttributeSettings(values=tuple(values)) for name, values in (attributes or {}).items()}
+    return Schema(extent=extent, classes=classes, attributes=settings)
 
 
 def load_schema(folder: Path, default: Schema) -> Schema:
@@ -134,8 +134,8 @@ def load_schema(folder: Path, default: Schema) -> Schema:
 
 def save_schema(folder: Path, schema: Schema) -> None:
     """Write the schema beside a journal."""
-    kept = schema.model_dump(mode="json", exclude_defaults=True)
-    write_text(folder / SCHEMA, yaml.safe_dump(kept, sort_keys=False, allow_unicode=True))
+    settings = schema.model_dump(mode="json", exclude_defaults=True)
+    write_text(folder / SCHEMA, yaml.safe_dump(settings, sort_keys=False, allow_unicode=True))
 
 
 # The classes that a data set offers, with preset sizes.

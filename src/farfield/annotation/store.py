@@ -113,11 +113,11 @@ class Store:
         """
         with self.lock:
             touched = self.state.touched(key)
-            found = {label.id: StoredBox(label) for label in self.files.labels(key) if label.id not in touched}
+            rows = {label.id: StoredBox(label) for label in self.files.labels(key) if label.id not in touched}
             for name, standing in touched.items():
                 if standing.value is not None:
-                    found[name] = _row(name, standing.value, standing.version, standing.by)
-        return tuple(sorted(found.values(), key=_BoxOrder(touched)))
+                    rows[name] = _row(name, standing.value, standing.version, standing.by)
+        return tuple(sorted(rows.values(), key=_BoxOrder(touched)))
 
     def row(self, key: Key, name: str) -> StoredBox | None:
         """One box of a frame; None where there is none (any more)."""
@@ -235,7 +235,7 @@ class _BoxOrder:
     """Places of a frame's boxes: those of the files in their order, then the added ones in theirs."""
 
     def __init__(self, touched: Mapping[str, Any]) -> None:
-        self._born = {name: (standing.born, place) for place, (name, standing) in enumerate(touched.items())}
+        self._born = {name: (standing.born, number) for number, (name, standing) in enumerate(touched.items())}
         self._added = {name for name, standing in touched.items() if not standing.original}
 
     def __call__(self, row: StoredBox) -> tuple[int, int, int]:

@@ -34,9 +34,9 @@ class _Cells:
         x, y = (np.floor(points_m[:, axis] / cell_m).astype(np.int32) for axis in (0, 1))
         self._low = np.array([x.min(), y.min()]) if len(x) else np.zeros(2, np.int32)
         self._counts = np.array([x.max(), y.max()]) - self._low + 1 if len(x) else np.zeros(2, np.int32)
-        flat = _short((x - self._low[0]).astype(np.int64) * int(self._counts[1]) + (y - self._low[1]))
-        order = np.argsort(flat, kind="stable")
-        self._points, self._flat = points_m[order], flat[order].astype(np.int64)
+        cell_numbers = _short((x - self._low[0]).astype(np.int64) * int(self._counts[1]) + (y - self._low[1]))
+        order = np.argsort(cell_numbers, kind="stable")
+        self._points, self._flat = points_m[order], cell_numbers[order].astype(np.int64)
 
     def near(self, x: float, y: float, reach_m: float) -> Points:
         """Points of the cells that a square around a place touches, shape (k, 3)."""
@@ -91,8 +91,8 @@ class Surroundings:
         close = lowest[np.abs(lowest[:, :2] - np.array(box[:2])).max(axis=1) <= SUPPORT_M]
         beside = beyond_m(in_box_axes(close, box), box) > BESIDE_M
         heights = ground.heights_m(close[beside].astype(np.float64))
-        known = int((np.abs(heights) <= OFF_PLANE_M).sum())
-        return ground.z_m(box[0], box[1]) if known >= max(FEWEST_CELLS, SHARE * len(heights)) else None
+        on_plane = int((np.abs(heights) <= OFF_PLANE_M).sum())
+        return ground.z_m(box[0], box[1]) if on_plane >= max(FEWEST_CELLS, SHARE * len(heights)) else None
 
 
 def _short(cells: Int64[np.ndarray, " n"]) -> Shaped[np.ndarray, " n"]:
@@ -106,9 +106,9 @@ def _lowest(points: Points) -> Float[np.ndarray, "m 3"]:
         return points
     cells = np.floor(points[:, :2] / GROUND_CELL_M).astype(np.int32)
     cells -= cells.min(axis=0)
-    flat = cells[:, 0].astype(np.int64) * (int(cells[:, 1].max()) + 1) + cells[:, 1]
-    order = np.lexsort((points[:, 2], flat))
-    return points[order[np.flatnonzero(np.diff(flat[order], prepend=-1))]]
+    cell_numbers = cells[:, 0].astype(np.int64) * (int(cells[:, 1].max()) + 1) + cells[:, 1]
+    order = np.lexsort((points[:, 2], cell_numbers))
+    return points[order[np.flatnonzero(np.diff(cell_numbers[order], prepend=-1))]]
 
 
 def in_box_axes(points_m: Points, box: Numbers) -> Points:

@@ -97,14 +97,14 @@ class Exports:
         """
         job = f"export-{next(self._numbers)}"
         called = name if name.lower().endswith(ending) else name + ending
-        made = ExportedFile(self.folder / f"{job}{ending}", called, _KINDS[ending])
-        self._made[job] = made
-        return job, made
+        file = ExportedFile(self.folder / f"{job}{ending}", called, _KINDS[ending])
+        self._made[job] = file
+        return job, file
 
     def result(self, job: str) -> ExportedFile | None:
         """A file that was made."""
-        found = self._made.get(job)
-        return found if found is not None and found.path.is_file() else None
+        file = self._made.get(job)
+        return file if file is not None and file.path.is_file() else None
 
     def close(self) -> None:
         """Remove everything."""
@@ -166,12 +166,12 @@ def standalone(static: Path, welcome: Welcome, frames: Sequence[FrameState], pay
 
 
 def _inlined(static: Path, pattern: re.Pattern[str], text: str) -> str:
-    found = pattern.search(text)
-    if found is None:
+    match = pattern.search(text)
+    if match is None:
         raise ConfigError(
             f"html: expected one script and one style sheet in index.html, found none like {pattern.pattern}"
         )
-    return (static / found[1]).read_text("utf-8")
+    return (static / match[1]).read_text("utf-8")
 
 
 def _packed(body: bytes) -> str:

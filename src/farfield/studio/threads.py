@@ -74,8 +74,8 @@ class Cache(Generic[V]):
                 _, dropped = self._values.popitem(last=False)
                 self.held -= self.size(dropped)
 
-    def drop(self, wanted: Callable[[Hashable], bool]) -> None:
+    def drop(self, matches: Callable[[Hashable], bool]) -> None:
         """Forget the values of some keys."""
         with self._lock:
-            for key in [key for key in self._values if wanted(key)]:
+            for key in [key for key in self._values if matches(key)]:
                 self.held -= self.size(self._values.pop(key))

@@ -6,9 +6,9 @@ from fitting_scenes import CAR, road, scene, sides
 
 from farfield.annotation.fitting import prior_of
 from farfield.annotation.fitting.boxes import cluster_at, link_radius_m
-from farfield.annotation.fitting.ground import above, fit_ground
+from farfield.annotation.fitting.ground import fit_ground, points_above
 from farfield.annotation.fitting.prior import Prior, along_length, footprint
-from farfield.annotation.fitting.search import best_yaw, scores, search, turned_yaw
+from farfield.annotation.fitting.search import best_yaw, refine_yaw, scores, search
 from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
 
 
@@ -18,7 +18,7 @@ def test_the_ground_under_a_car_is_the_road(rng: np.random.Generator, slope: flo
     ground = fit_ground(points, (20.0, 5.0))
     assert ground.z_m(20.0, 5.0) == pytest.approx(-1.9 + 20 * slope, abs=0.05)
     assert ground.z_m(23.0, 5.0) - ground.z_m(20.0, 5.0) == pytest.approx(3 * slope, abs=0.03)
-    standing = above(points[np.hypot(*(points[:, :2] - [20.0, 5.0]).T) < 6], ground)
+    standing = points_above(points[np.hypot(*(points[:, :2] - [20.0, 5.0]).T) < 6], ground)
     assert (np.abs(standing[:, :2] - [20.0, 5.0]) < 2.6).all()  # the car's points alone
 
 
@@ -56,7 +56,7 @@ def test_the_l_shape_gives_the_yaw_of_two_sides(rng: np.random.Generator, count:
     found, criterion = best_yaw(xy)
     assert criterion == ("closeness" if len(xy) < 30 else "variance")
     assert abs(np.mod(found - yaw + np.pi / 4, np.pi / 2) - np.pi / 4) < np.deg2rad(2)
-    assert turned_yaw(xy, float(yaw + 0.05), np.deg2rad(np.arange(-4, 4.5, 0.5))) == pytest.approx(yaw, abs=0.018)
+    assert refine_yaw(xy, float(yaw + 0.05), np.deg2rad(np.arange(-4, 4.5, 0.5))) == pytest.approx(yaw, abs=0.018)
 
 
 def test_closeness_is_the_papers_sum() -> None:

@@ -8,7 +8,7 @@ from fitting_scenes import CAR, road, seen_past, sides
 
 from farfield.annotation.fitting import BoxFit, fit_drag, prior_of
 from farfield.annotation.fitting.ends import ends_of
-from farfield.annotation.fitting.ground import above, fit_ground
+from farfield.annotation.fitting.ground import fit_ground, points_above
 
 LONG = (5.6, 1.9, 1.5)
 PRIOR = prior_of("Sedan", size_m=CAR)
@@ -93,7 +93,7 @@ def test_ends_that_were_hit_and_rays_past_them(rng: np.random.Generator) -> None
     car = standing(3.0, 12.0, CAR, 0.0)
     points = looked(rng, car)
     ground = fit_ground(points, car[:2])
-    high = above(points, ground)
+    high = points_above(points, ground)
     held = high[(np.abs(high[:, :2] - car[:2]) < [2.5, 1.2]).all(axis=1)]
     ends = ends_of(points, held, np.array([*car[:2], *CAR[:2], 0.0]), ground, KNOWN)
     assert ends.hit_m == pytest.approx(np.array([[0.7, 5.3], [11.05, 12.95]]), abs=0.1)

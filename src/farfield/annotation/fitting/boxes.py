@@ -7,8 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.annotation.fitting.ends import ends_of, placed
-from farfield.annotation.fitting.ground import Ground, above, fit_ground, near
+from farfield.annotation.fitting.ends import ends_of
+from farfield.annotation.fitting.ends import place_rectangle
+from farfield.annotation.fitting.ground import Ground
+from farfield.annotation.fitting.ground import fit_ground
+from farfield.annotation.fitting.ground import points_above
+from farfield.annotation.fitting.ground import points_near
 from farfield.annotation.fitting.prior import Box
 from farfield.annotation.fitting.prior import BoxFit
 from farfield.annotation.fitting.prior import FitCandidate
@@ -20,8 +24,8 @@ from farfield.annotation.fitting.prior import boxes_of
 from farfield.annotation.fitting.prior import footprint
 from farfield.annotation.fitting.search import CLOSENESS_BELOW
 from farfield.annotation.fitting.search import best_yaw
+from farfield.annotation.fitting.search import refine_yaw
 from farfield.annotation.fitting.search import search
-from farfield.annotation.fitting.search import turned_yaw
 from farfield.geometry.boxes import inside_box
 from farfield.geometry.boxes import wrap_angle_rad
 
@@ -69,10 +73,10 @@ def fit_drag(points_m: Float[np.ndarray, "n 3"], start_xy: XY, end_xy: XY, prior
     start, end = _pair(start_xy), _pair(end_xy)
     if np.hypot(end[0] - start[0], end[1] - start[1]) < _LEAST_DRAG_M:
         return fit_click(points_m, start, prior)
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     drawn = float(np.arctan2(end[1] - start[1], end[0] - start[0]))
     scene = _scene(points_m, start, prior)
-    return _searched(scene, start, drawn, prior, criterion="drag", drawn_rad=drawn, begun=begun)
+    return _search_and_refine(scene, start, drawn, prior, criterion="drag", drawn_rad=drawn, start_s=start_s)
 
 
 def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> BoxFit:
@@ -87,25 +91,27 @@ def fit_click(points_m: Float[np.ndarray, "n 3"], at_xy: XY, prior: Prior) -> Bo
         at_xy: The click, x and y, metres.
         prior: What is known of the object.
     """
-    begun, at = time.perf_counter(), _pair(at_xy)
+    start_s, at = time.perf_counter(), _pair(at_xy)
     scene = _scene(points_m, at, prior)
     if prior.yaw_rad is not None:
-        return _searched(scene, at, prior.yaw_rad, prior, criterion="track", drawn_rad=None, begun=begun)
-    linked = scene.points_m[
+        return _search_and_refine(scene, at, prior.yaw_rad, prior, criterion="track", drawn_rad=None, start_s=start_s)
+    object_m = scene.points_m[
         cluster_at(scene.points_m, at, link_radius_m(_range_m(at, prior), small=not prior.anchored))
     ]
-    if len(linked) < 2:
+    if len(object_m) < 2:
         yaw, criterion = (0.0, "drawn") if prior.lane_rad is None else (prior.lane_rad, "lane")
-        return _searched(scene, at, yaw, prior, criterion=criterion, drawn_rad=None, begun=begun)
-    yaw, criterion = best_yaw(linked[:, :2])
-    yaw, source = headed(along_length(linked[:, :2], yaw, prior), prior)
-    box = stood_on(_whole(scene, linked, yaw, prior), linked, scene.ground, prior)
+        return _search_and_refine(scene, at, yaw, prior, criterion=criterion, drawn_rad=None, start_s=start_s)
+    yaw, criterion = best_yaw(object_m[:, :2])
+    yaw, source = choose_heading(along_length(object_m[:, :2], yaw, prior), prior)
+    box = stand_on_ground(_rectangle(scene, object_m, yaw, prior), object_m, scene.ground, prior)
     if prior.lane_rad is None:
-        return _fit(scene, box, (), criterion, source, begun)
-    if prior.anchored and len(linked) < CLOSENESS_BELOW and _range_m(at, prior) > _TRUSTED_M:
-        found = _searched(scene, at, prior.lane_rad, prior, criterion="lane", drawn_rad=None, begun=begun)
-        return replace(found, candidates=(FitCandidate(box=box, score=0.0), *found.candidates))
-    return _fit(scene, box, _along(scene, at, prior.lane_rad, prior), criterion, source, begun)
+        return _box_fit(scene, box, (), criterion, source, start_s)
+    if prior.anchored and len(object_m) < CLOSENESS_BELOW and _range_m(at, prior) > _TRUSTED_M:
+        lane_fit = _search_and_refine(
+            scene, at, prior.lane_rad, prior, criterion="lane", drawn_rad=None, start_s=start_s
+        )
+        return replace(lane_fit, candidates=(FitCandidate(box=box, score=0.0), *lane_fit.candidates))
+    return _box_fit(scene, box, _lane_candidates(scene, at, prior.lane_rad, prior), criterion, source, start_s)
 
 
 def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior, *, keep_size: bool = False) -> BoxFit:
@@ -119,25 +125,25 @@ def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior
         prior: What is known of the object.
         keep_size: Keep the box's size instead of the prior's or the measured one.
     """
-    begun, old = time.perf_counter(), np.asarray(box, dtype=np.float64)
+    start_s, old = time.perf_counter(), np.asarray(box, dtype=np.float64)
     if keep_size:
         prior = replace(prior, size_m=(float(old[3]), float(old[4]), float(old[5])), fixed_size=True)
     scene = _scene(points_m, (float(old[0]), float(old[1])), prior, least_m=float(np.hypot(old[3], old[4])) / 2)
     drawn = old[[0, 1, 3, 4, 6]]
-    held = scene.points_m[inside(scene.xy_m, drawn, _WINDOW_M)]
-    if len(held) < _POINTS_TO_REFIT:
+    object_m = scene.points_m[inside(scene.xy_m, drawn, _WINDOW_M)]
+    if len(object_m) < _POINTS_TO_REFIT:
         size = prior.size_m[:2] if prior.grows else drawn[2:4]
         rectangle = np.array([drawn[0], drawn[1], *size, drawn[4]])
-        made = stood_on(rectangle, held, scene.ground, prior)
-        note = f"{len(held)} points: place and yaw are as drawn, size and height are set"
-        return _fit(scene, made, (), "drawn", "drag", begun, note)
+        box_there = stand_on_ground(rectangle, object_m, scene.ground, prior)
+        note = f"{len(object_m)} points: place and yaw are as drawn, size and height are set"
+        return _box_fit(scene, box_there, (), "drawn", "drag", start_s, note)
     at = (float(drawn[0]), float(drawn[1]))
-    found = search(scene.xy_m, at, drawn[4:], _drawn_size(drawn, prior), reach_m=REACH_M)[0][0]
-    moved = scene.points_m[inside(scene.xy_m, found, _WINDOW_M)]
-    held = moved if len(moved) >= _POINTS_TO_REFIT else held
-    yaw, criterion = _turned(held, float(drawn[4]), _SNAPPED_RAD)
-    made = stood_on(_whole(scene, held, yaw, prior), held, scene.ground, prior)
-    return _fit(scene, made, (), criterion, "drag", begun)
+    rectangle_there = search(scene.xy_m, at, drawn[4:], _drawn_size(drawn, prior), reach_m=REACH_M)[0][0]
+    moved = scene.points_m[inside(scene.xy_m, rectangle_there, _WINDOW_M)]
+    object_m = moved if len(moved) >= _POINTS_TO_REFIT else object_m
+    yaw, criterion = _refine_yaw(object_m, float(drawn[4]), _SNAPPED_RAD)
+    box_there = stand_on_ground(_rectangle(scene, object_m, yaw, prior), object_m, scene.ground, prior)
+    return _box_fit(scene, box_there, (), criterion, "drag", start_s)
 
 
 def fit_rectangle(
@@ -159,10 +165,10 @@ def fit_rectangle(
     if not lengths.min() > 0:
         raise ValueError(f"fit_rectangle: expected four corners apart from each other, got {corners.tolist()}")
     along = sides[int(np.argmax(lengths))]
-    yaw, source = headed(float(np.arctan2(along[1], along[0])), prior)
+    yaw, source = choose_heading(float(np.arctan2(along[1], along[0])), prior)
     x, y = corners.mean(axis=0)
-    found = refit(points_m, [x, y, 0.0, lengths.max(), lengths.min(), prior.size_m[2], yaw], prior)
-    return replace(found, heading=source)
+    fit = refit(points_m, [x, y, 0.0, lengths.max(), lengths.min(), prior.size_m[2], yaw], prior)
+    return replace(fit, heading=source)
 
 
 def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> BoxFit:
@@ -172,14 +178,14 @@ def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> 
         points_m: All points of the frame, shape (n, 3), metres.
         box: x, y, z, length, width, height, yaw.
     """
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     x, y, z, length, width, height, yaw = (float(value) for value in box)
     ground = fit_ground(points_m, (x, y))
     note = "" if ground.cells else "no points within 60 m tell where the ground is: the height is as it was"
     z = ground.z_m(x, y) + height / 2 if ground.cells else z
-    made = (x, y, z, length, width, height, yaw)
-    around = near(points_m, (x, y), float(np.hypot(length, width)))
-    return _fit(_Scene(ground, above(around, ground), points_m), made, (), "drawn", "drag", begun, note)
+    dropped = (x, y, z, length, width, height, yaw)
+    around = points_near(points_m, (x, y), float(np.hypot(length, width)))
+    return _box_fit(_Scene(ground, points_above(around, ground), points_m), dropped, (), "drawn", "drag", start_s, note)
 
 
 def _drawn_size(drawn: Float[np.ndarray, " 5"], prior: Prior) -> Prior:
@@ -202,10 +208,10 @@ def _scene(
 ) -> _Scene:
     ground = fit_ground(points_m, at)
     reach_m = max(float(np.hypot(*prior.size_m[:2])), least_m) + _WIDER_M
-    return _Scene(ground, above(near(points_m, at, reach_m), ground), points_m)
+    return _Scene(ground, points_above(points_near(points_m, at, reach_m), ground), points_m)
 
 
-def _searched(
+def _search_and_refine(
     scene: _Scene,
     at: tuple[float, float],
     yaw_rad: float,
@@ -213,32 +219,34 @@ def _searched(
     *,
     criterion: str,
     drawn_rad: float | None,
-    begun: float,
+    start_s: float,
 ) -> BoxFit:
     """Search at a yaw, fit what is found to its points, and offer the boxes a little beside it."""
-    rectangles, score, held = _found(scene, at, yaw_rad, prior)
-    if len(held) == 0:
-        rectangles, score, held = _found(scene, _nearest(scene, at), yaw_rad, prior)
+    rectangles, score, object_m = _search(scene, at, yaw_rad, prior)
+    if len(object_m) == 0:
+        rectangles, score, object_m = _search(scene, _nearest(scene, at), yaw_rad, prior)
     rectangle, note = rectangles[0], ""
-    if len(held) == 0:
+    if len(object_m) == 0:
         rectangle = np.array([*at, *prior.size_m[:2], yaw_rad])
         note = "no points over the ground here: the box has its usual size about the pointer"
     else:
-        yaw, _ = _turned(held, yaw_rad, _REFINED_RAD)
-        held = _longer(scene, held, yaw, prior)
-        rectangle = _whole(scene, held, yaw, prior)
-    yaw, source = headed(float(rectangle[4]), prior, drawn_rad)
+        yaw, _ = _refine_yaw(object_m, yaw_rad, _REFINED_RAD)
+        object_m = _extend_lengthwise(scene, object_m, yaw, prior)
+        rectangle = _rectangle(scene, object_m, yaw, prior)
+    yaw, source = choose_heading(float(rectangle[4]), prior, drawn_rad)
     rectangle[4] = yaw
     others = tuple(
         FitCandidate(
-            box=stood_on(rectangles[place], scene.points_m[:0], scene.ground, prior), score=float(score[place])
+            box=stand_on_ground(rectangles[number], scene.points_m[:0], scene.ground, prior), score=float(score[number])
         )
-        for place in 1 + np.argsort(-score[1:], kind="stable")
+        for number in 1 + np.argsort(-score[1:], kind="stable")
     )
-    return _fit(scene, stood_on(rectangle, held, scene.ground, prior), others, criterion, source, begun, note)
+    return _box_fit(
+        scene, stand_on_ground(rectangle, object_m, scene.ground, prior), others, criterion, source, start_s, note
+    )
 
 
-def _found(
+def _search(
     scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior
 ) -> tuple[Float[np.ndarray, "k 5"], Float[np.ndarray, " k"], Float[np.ndarray, "m 3"]]:
     """Boxes that hold a place, at a yaw and beside it, their scores, and the points of the first."""
@@ -254,17 +262,19 @@ def _nearest(scene: _Scene, at: tuple[float, float]) -> tuple[float, float]:
     return _pair(scene.xy_m[int(np.argmin(apart))])
 
 
-def _longer(scene: _Scene, held_m: Float[np.ndarray, "k 3"], yaw_rad: float, prior: Prior) -> Float[np.ndarray, "m 3"]:
+def _extend_lengthwise(
+    scene: _Scene, object_m: Float[np.ndarray, "k 3"], yaw_rad: float, prior: Prior
+) -> Float[np.ndarray, "m 3"]:
     """The points of an object and those that go on from them lengthwise, for one longer than usual."""
     if not (prior.anchored and prior.grows) or prior.fixed_size:
-        return held_m
-    about = footprint(held_m[:, :2], yaw_rad, prior)
+        return object_m
+    about = footprint(object_m[:, :2], yaw_rad, prior)
     turn = axes(yaw_rad)
-    own, local = (held_m[:, :2] - about[:2]) @ turn.T, (scene.xy_m - about[:2]) @ turn.T
+    own, local = (object_m[:, :2] - about[:2]) @ turn.T, (scene.xy_m - about[:2]) @ turn.T
     low, high = own.min(axis=0), own.max(axis=0)
     beside = np.abs(local[:, 1]) <= about[3] / 2 + _WINDOW_M / 2
-    reach = _LONGER * prior.size_m[0]
-    along = np.sort(local[beside & (local[:, 0] > low[0] - reach) & (local[:, 0] < high[0] + reach), 0])
+    reach_m = _LONGER * prior.size_m[0]
+    along = np.sort(local[beside & (local[:, 0] > low[0] - reach_m) & (local[:, 0] < high[0] + reach_m), 0])
     for value in along[along > high[0]]:
         if value - high[0] > _LINK_M:
             break
@@ -273,43 +283,49 @@ def _longer(scene: _Scene, held_m: Float[np.ndarray, "k 3"], yaw_rad: float, pri
         if low[0] - value > _LINK_M:
             break
         low[0] = value
-    kept = beside & (local[:, 0] >= low[0] - _SAME_M) & (local[:, 0] <= high[0] + _SAME_M)
-    return scene.points_m[kept]
+    along_object = beside & (local[:, 0] >= low[0] - _SAME_M) & (local[:, 0] <= high[0] + _SAME_M)
+    return scene.points_m[along_object]
 
 
-def _whole(scene: _Scene, held_m: Float[np.ndarray, "k 3"], yaw_rad: float, prior: Prior) -> Float[np.ndarray, " 5"]:
+def _rectangle(
+    scene: _Scene, object_m: Float[np.ndarray, "k 3"], yaw_rad: float, prior: Prior
+) -> Float[np.ndarray, " 5"]:
     """The rectangle of an object's points at a yaw, by what was seen of its ends."""
-    about = footprint(held_m[:, :2], yaw_rad, prior)
-    ends = ends_of(scene.cloud_m, held_m, about, scene.ground, prior)
-    return placed(ends, held_m[:, :2], yaw_rad, prior)
+    about = footprint(object_m[:, :2], yaw_rad, prior)
+    ends = ends_of(scene.cloud_m, object_m, about, scene.ground, prior)
+    return place_rectangle(ends, object_m[:, :2], yaw_rad, prior)
 
 
-def _along(scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior) -> tuple[FitCandidate, ...]:
+def _lane_candidates(scene: _Scene, at: tuple[float, float], yaw_rad: float, prior: Prior) -> tuple[FitCandidate, ...]:
     """The box along a lane, as an offer."""
     rectangles, score = search(scene.xy_m, at, yaw_rad + _SEARCHED_RAD, prior)
     best = int(np.argmax(score))
-    held = scene.points_m[inside(scene.xy_m, rectangles[best], _WINDOW_M)]
-    return (FitCandidate(box=stood_on(rectangles[best], held, scene.ground, prior), score=float(score[best])),)
+    object_m = scene.points_m[inside(scene.xy_m, rectangles[best], _WINDOW_M)]
+    return (
+        FitCandidate(box=stand_on_ground(rectangles[best], object_m, scene.ground, prior), score=float(score[best])),
+    )
 
 
-def _turned(held_m: Float[np.ndarray, "n 3"], yaw_rad: float, turns_rad: Float[np.ndarray, " k"]) -> tuple[float, str]:
+def _refine_yaw(
+    object_m: Float[np.ndarray, "n 3"], yaw_rad: float, turns_rad: Float[np.ndarray, " k"]
+) -> tuple[float, str]:
     """The yaw, turned a little where enough points tell by how much."""
-    if len(held_m) < _POINTS_TO_TURN:
+    if len(object_m) < _POINTS_TO_TURN:
         return yaw_rad, "drawn"
-    return turned_yaw(held_m[:, :2], yaw_rad, turns_rad), "closeness"
+    return refine_yaw(object_m[:, :2], yaw_rad, turns_rad), "closeness"
 
 
-def _fit(
+def _box_fit(
     scene: _Scene,
     box: Box,
     candidates: tuple[FitCandidate, ...],
     criterion: str,
     heading: HeadingFrom,
-    begun: float,
+    start_s: float,
     note: str = "",
 ) -> BoxFit:
     count = int(inside_box(scene.points_m, boxes_of(box), 0).sum())
-    ms = 1000 * (time.perf_counter() - begun)
+    ms = 1000 * (time.perf_counter() - start_s)
     return BoxFit(box=box, points=count, candidates=candidates, criterion=criterion, heading=heading, ms=ms, note=note)
 
 
@@ -328,7 +344,7 @@ def inside(
     return np.asarray((np.abs(local) <= rectangle[2:4] / 2 + margin_m).all(axis=1))
 
 
-def stood_on(
+def stand_on_ground(
     rectangle: Float[np.ndarray, " 5"], points_m: Float[np.ndarray, "n 3"], ground: Ground, prior: Prior
 ) -> Box:
     """A box on the ground under its centre.
@@ -350,19 +366,19 @@ def stood_on(
     return x, y, ground.z_m(x, y) + height / 2, length, width, height, float(wrap_angle_rad(np.array(yaw)))
 
 
-def headed(yaw_rad: float, prior: Prior, drawn_rad: float | None = None) -> tuple[float, HeadingFrom]:
+def choose_heading(yaw_rad: float, prior: Prior, drawn_rad: float | None = None) -> tuple[float, HeadingFrom]:
     """The yaw or its opposite, by the drag's direction, the track's or the lane's, in this order; else as it is.
 
     >>> from farfield.annotation.fitting.prior import prior_of
     >>> headed(3.0, prior_of("Sedan"), drawn_rad=0.1)
     (-0.14159265358979312, 'drag')
     """
-    known: tuple[tuple[float | None, HeadingFrom], ...] = (
+    directions: tuple[tuple[float | None, HeadingFrom], ...] = (
         (drawn_rad, "drag"),
         (prior.yaw_rad, "track"),
         (prior.lane_rad, "lane"),
     )
-    for direction, source in known:
+    for direction, source in directions:
         if direction is not None:
             return (yaw_rad if np.cos(yaw_rad - direction) >= 0 else yaw_rad - np.pi), source
     return yaw_rad, "ask"
@@ -397,11 +413,11 @@ def cluster_at(
     if len(points_m) == 0:
         return np.zeros(0, dtype=np.bool_)
     cell_m = radius_m / _CELLS
-    whole = np.floor(points_m / cell_m).astype(np.int64)
-    whole -= whole.min(axis=0)
-    code = np.ravel_multi_index(tuple(whole.T), tuple(whole.max(axis=0) + 1))
+    cells = np.floor(points_m / cell_m).astype(np.int64)
+    cells -= cells.min(axis=0)
+    code = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     _, first, member = np.unique(code, return_index=True, return_inverse=True)
-    cell = whole[first]
+    cell = cells[first]
     pairs = cKDTree((cell + 0.5) * cell_m).query_pairs(radius_m, output_type="ndarray")
     links = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(cell), len(cell)))
     _, component = connected_components(links, directed=False)

@@ -37,7 +37,7 @@ class Ends:
 
 def ends_of(
     points_m: Float[np.ndarray, "n 3"],
-    held_m: Float[np.ndarray, "k 3"],
+    object_m: Float[np.ndarray, "k 3"],
     rectangle: Float[np.ndarray, " 5"],
     ground: Ground,
     prior: Prior,
@@ -46,13 +46,13 @@ def ends_of(
 
     Args:
         points_m: All points of the frame.
-        held_m: The object's own, at least one.
+        object_m: The object's own, at least one.
         rectangle: About where it is: x, y, length, width, yaw.
         ground: The ground about it.
         prior: Where the sensor stands.
     """
     turn, ego = axes(float(rectangle[4])), np.array([*prior.ego_m, prior.ego_z_m or 0.0])
-    own = (held_m[:, :2] - ego[:2]) @ turn.T
+    own = (object_m[:, :2] - ego[:2]) @ turn.T
     hit = np.stack([own.min(axis=0), own.max(axis=0)], axis=1)
     middle = turn @ (rectangle[:2] - ego[:2])
     half = rectangle[2:4] / 2
@@ -93,12 +93,12 @@ def _gaps(stretch_m: Float[np.ndarray, "2 m"], hit_m: Float[np.ndarray, " 2"]) -
     through = int((~before & ~beyond).sum())
     if through > _PASSED and through > _SHARE * len(low):
         return np.full(2, np.inf)
-    found = np.full(2, np.inf)
+    gap_m = np.full(2, np.inf)
     if before.sum() > 1:
-        found[0] = hit_m[0] - np.partition(high[before], -2)[-2]
+        gap_m[0] = hit_m[0] - np.partition(high[before], -2)[-2]
     if beyond.sum() > 1:
-        found[1] = np.partition(low[beyond], 1)[1] - hit_m[1]
-    return np.maximum(found, 0.0)
+        gap_m[1] = np.partition(low[beyond], 1)[1] - hit_m[1]
+    return np.maximum(gap_m, 0.0)
 
 
 def _rays(
@@ -113,9 +113,9 @@ def _rays(
     sight = away / range_m
     x, y = points_m[:, 0] - ego_m[0], points_m[:, 1] - ego_m[1]
     deep, beside = x * sight[0] + y * sight[1], np.abs(y * sight[0] - x * sight[1])
-    reach = float(np.hypot(*rectangle[2:4])) / 2
+    radius_m = float(np.hypot(*rectangle[2:4])) / 2
     near = np.flatnonzero(
-        (deep > range_m - reach - 1.0) & (beside < (reach + _SECTOR_M) * np.maximum(deep / range_m, 1))
+        (deep > range_m - radius_m - 1.0) & (beside < (radius_m + _SECTOR_M) * np.maximum(deep / range_m, 1))
     )
     chosen = points_m[near].astype(np.float64)
     chosen = chosen[np.isfinite(chosen).all(axis=1)] - ego_m
@@ -142,7 +142,9 @@ _NEAR_FACE_M = 0.3  # how far behind the face towards the sensor its first point
 _STEPS = 61
 
 
-def placed(ends: Ends, xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, prior: Prior) -> Float[np.ndarray, " 5"]:
+def place_rectangle(
+    ends: Ends, xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, prior: Prior
+) -> Float[np.ndarray, " 5"]:
     """The rectangle of an object at a yaw (x, y, length, width, yaw) from its points and the rays past them.
 
     Along each axis the two ends lie beyond the outermost points and not beyond the nearest ray that passed. Within
@@ -161,11 +163,11 @@ def placed(ends: Ends, xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, prior: Pr
     turn, ego = axes(yaw_rad), np.array(prior.ego_m)
     centre, size = turn @ (plain[:2] - ego), plain[2:4].copy()
     for axis in (0, 1):
-        found = _stretch(ends.hit_m[axis], ends.gap_m[axis], prior, axis)
-        if found is not None:
-            centre[axis] = (found[0] + found[1]) / 2
+        stretch = _stretch(ends.hit_m[axis], ends.gap_m[axis], prior, axis)
+        if stretch is not None:
+            centre[axis] = (stretch[0] + stretch[1]) / 2
             if axis == 0 and not prior.fixed_size:
-                size[axis] = found[1] - found[0]
+                size[axis] = stretch[1] - stretch[0]
     x, y = centre @ turn + ego
     return np.array([x, y, *size, yaw_rad])
 
@@ -174,13 +176,13 @@ def _stretch(
     hit_m: Float[np.ndarray, " 2"], gap_m: Float[np.ndarray, " 2"], prior: Prior, axis: int
 ) -> tuple[float, float] | None:
     """Where an object begins and ends along an axis; None where nothing is told that the points do not tell."""
-    usual, seen = prior.size_m[axis], float(hit_m[1] - hit_m[0])
+    usual, covered = prior.size_m[axis], float(hit_m[1] - hit_m[0])
     spread = _FIXED_SPREAD_M if prior.fixed_size else _SPREAD[axis] * usual
-    if not np.isfinite(gap_m).any() or seen + gap_m.sum() < usual - (_CERTAIN * spread if axis == 0 else np.inf):
+    if not np.isfinite(gap_m).any() or covered + gap_m.sum() < usual - (_CERTAIN * spread if axis == 0 else np.inf):
         return None
-    most = max(usual + _CERTAIN * spread - seen, 0.0)
+    most = max(usual + _CERTAIN * spread - covered, 0.0)
     before, behind = (np.linspace(0, value, _STEPS) for value in np.minimum(gap_m + 3 * _PASSED_M, most))
-    size = seen + before[:, None] + behind[None, :]
+    size = covered + before[:, None] + behind[None, :]
     beyond = np.maximum(before[:, None] - gap_m[0], 0) ** 2 + np.maximum(behind[None, :] - gap_m[1], 0) ** 2
     exponent = -0.5 * ((size - usual) / spread) ** 2 - 0.5 * beyond / _PASSED_M**2
     scales = np.where((gap_m < _SEEN_M) & (axis == 0), _FACE_M, np.inf)

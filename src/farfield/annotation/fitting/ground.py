@@ -41,13 +41,15 @@ class Ground:
         return points_m[:, 2] - (c + a * (points_m[:, 0] - self.origin_m[0]) + b * (points_m[:, 1] - self.origin_m[1]))
 
 
-def near(points_m: Float[np.ndarray, "n 3"], at_m: tuple[float, float], radius_m: float) -> Float[np.ndarray, "m 3"]:
+def points_near(
+    points_m: Float[np.ndarray, "n 3"], at_m: tuple[float, float], radius_m: float
+) -> Float[np.ndarray, "m 3"]:
     """Points within a square of twice the radius about a place, as float64; those that are not finite are left out."""
     x, y = points_m[:, 0], points_m[:, 1]
     chosen: Int[np.ndarray, " k"] = np.flatnonzero(np.abs(x - at_m[0]) <= radius_m)
     chosen = chosen[np.abs(y[chosen] - at_m[1]) <= radius_m]
-    found = points_m[chosen].astype(np.float64)
-    return found[np.isfinite(found[:, 2])]
+    square = points_m[chosen].astype(np.float64)
+    return square[np.isfinite(square[:, 2])]
 
 
 def fit_ground(points_m: Float[np.ndarray, "n 3"], at_m: tuple[float, float]) -> Ground:
@@ -63,7 +65,7 @@ def fit_ground(points_m: Float[np.ndarray, "n 3"], at_m: tuple[float, float]) ->
     """
     radius_m, cells = RADIUS_M, np.zeros((0, 3))
     while True:
-        cells = _lowest(near(points_m, at_m, radius_m) - np.array([*at_m, 0.0]))
+        cells = _lowest(points_near(points_m, at_m, radius_m) - np.array([*at_m, 0.0]))
         if len(cells) >= _CELLS_NEEDED or radius_m >= FARTHEST_M:
             break
         radius_m *= 2
@@ -72,11 +74,11 @@ def fit_ground(points_m: Float[np.ndarray, "n 3"], at_m: tuple[float, float]) ->
     plane = np.array([0.0, 0.0, np.quantile(cells[:, 2], _START_QUANTILE)])
     design = np.column_stack([cells[:, :2], np.ones(len(cells))])
     for threshold_m in _THRESHOLDS_M:
-        kept = np.abs(cells[:, 2] - design @ plane) < threshold_m
-        if kept.sum() < 3:
+        inlier = np.abs(cells[:, 2] - design @ plane) < threshold_m
+        if inlier.sum() < 3:
             break
-        normal = design[kept].T @ design[kept] + np.diag([_RIDGE, _RIDGE, 1e-9])
-        plane = np.linalg.solve(normal, design[kept].T @ cells[kept, 2])
+        normal = design[inlier].T @ design[inlier] + np.diag([_RIDGE, _RIDGE, 1e-9])
+        plane = np.linalg.solve(normal, design[inlier].T @ cells[inlier, 2])
     a, b, c = plane.tolist()
     return Ground(origin_m=at_m, plane=(a, b, c), cells=len(cells))
 
@@ -92,7 +94,7 @@ def _lowest(points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     return points_m[order[first]]
 
 
-def above(points_m: Float[np.ndarray, "n 3"], ground: Ground) -> Float[np.ndarray, "m 3"]:
+def points_above(points_m: Float[np.ndarray, "n 3"], ground: Ground) -> Float[np.ndarray, "m 3"]:
     """Points that stand over the ground, and not higher than any vehicle."""
     height_m = ground.heights_m(points_m)
     return points_m[(height_m > LOWEST_M) & (height_m < HIGHEST_M)]

@@ -149,10 +149,10 @@ def footprint(xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, prior: Prior) -> F
 
 
 def _sizes(measured: Float[np.ndarray, " 2"], prior: Prior) -> Float[np.ndarray, " 2"]:
-    wanted = np.array(prior.size_m[:2])
+    usual = np.array(prior.size_m[:2])
     if prior.fixed_size:
-        return wanted
-    return np.maximum(measured, wanted if prior.grows else _LEAST_M)
+        return usual
+    return np.maximum(measured, usual if prior.grows else _LEAST_M)
 
 
 def excess_m(xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, prior: Prior) -> float:

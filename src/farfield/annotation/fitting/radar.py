@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from farfield.annotation.fitting.boxes import headed
+from farfield.annotation.fitting.boxes import choose_heading
 from farfield.annotation.fitting.ground import fit_ground
 from farfield.annotation.fitting.prior import BoxFit
 from farfield.annotation.fitting.prior import Prior
@@ -38,14 +38,14 @@ def fit_radar_peak(
     Raises:
         ValueError: If the peak lies at the radar's own place.
     """
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     peak, ego = np.array([float(peak_xy[0]), float(peak_xy[1])]), np.array(prior.ego_m)
     range_m = float(np.hypot(*(peak - ego)))
     if range_m < 1e-6:
         raise ValueError(f"fit_radar_peak: expected a peak away from the radar, got {peak.tolist()}")
     sight = (peak - ego) / range_m
-    known = next((yaw for yaw in (prior.yaw_rad, prior.lane_rad) if yaw is not None), None)
-    yaw, heading = headed(float(np.arctan2(sight[1], sight[0])) if known is None else known, prior)
+    known_yaw = next((yaw for yaw in (prior.yaw_rad, prior.lane_rad) if yaw is not None), None)
+    yaw, heading = choose_heading(float(np.arctan2(sight[1], sight[0])) if known_yaw is None else known_yaw, prior)
     x, y = peak + sight * _depth_m(sight, yaw, prior)
     ground = fit_ground(points_m, (float(x), float(y)))
     note = ""
@@ -58,7 +58,7 @@ def fit_radar_peak(
     box = (float(x), float(y), bottom + height / 2, length, width, height, float(wrap_angle_rad(np.array(yaw))))
     count = int(count_points_in_boxes(points_m, boxes_of(box))[0]) if len(points_m) else 0
     criterion = "track" if prior.yaw_rad is not None else "lane" if prior.lane_rad is not None else "drawn"
-    ms = 1000 * (time.perf_counter() - begun)
+    ms = 1000 * (time.perf_counter() - start_s)
     return BoxFit(box=box, points=count, criterion=criterion, heading=heading, ms=ms, note=note)
 
 
@@ -66,8 +66,8 @@ def _depth_m(sight: Float[np.ndarray, " 2"], yaw_rad: float, prior: Prior) -> fl
     """From where the line of sight enters a box to its middle."""
     along = abs(float(sight @ [np.cos(yaw_rad), np.sin(yaw_rad)]))
     across = abs(float(sight @ [-np.sin(yaw_rad), np.cos(yaw_rad)]))
-    reach = [size / 2 / part for size, part in zip(prior.size_m, (along, across), strict=False) if part > 1e-9]
-    return min(reach)
+    distances = [size / 2 / part for size, part in zip(prior.size_m, (along, across), strict=False) if part > 1e-9]
+    return min(distances)
 
 
 # The peak of a radar's map that a person meant: the strongest near the pointer, finer than a cell.
@@ -114,10 +114,10 @@ def peak_near(
     return float(range_m * np.cos(angle)), float(range_m * np.sin(angle))
 
 
-def _vertex(level: Float[np.ndarray, " n"], place: int) -> float:
+def _vertex(level: Float[np.ndarray, " n"], cell: int) -> float:
     """Where the parabola through a maximum and its neighbours is highest, in cells from it; 0 at the map's edge."""
-    if not 0 < place < len(level) - 1:
+    if not 0 < cell < len(level) - 1:
         return 0.0
-    before, here, after = level[place - 1 : place + 2].tolist()
+    before, here, after = level[cell - 1 : cell + 2].tolist()
     curve = before - 2 * here + after
     return 0.0 if curve >= 0 else float(np.clip((before - after) / (2 * curve), -0.5, 0.5))

@@ -17,7 +17,7 @@ _HOLD, _HOLD_RAD = 0.02, np.deg2rad(4.0)
 QUARTER_RAD = np.deg2rad(np.arange(90.0))
 
 
-def thinned(points_m: Float[np.ndarray, "n c"], most: int = _MOST_POINTS) -> Float[np.ndarray, "m c"]:
+def subsample(points_m: Float[np.ndarray, "n c"], most: int = _MOST_POINTS) -> Float[np.ndarray, "m c"]:
     """At most so many points, evenly through the array."""
     if len(points_m) <= most:
         return points_m
@@ -34,7 +34,7 @@ def scores(
         yaws_rad: Directions of the rectangle's first side.
         criterion: ``closeness`` or ``variance``.
     """
-    xy_m = thinned(xy_m - xy_m.mean(axis=0))
+    xy_m = subsample(xy_m - xy_m.mean(axis=0))
     first = np.outer(np.cos(yaws_rad), xy_m[:, 0]) + np.outer(np.sin(yaws_rad), xy_m[:, 1])
     second = np.outer(np.cos(yaws_rad), xy_m[:, 1]) - np.outer(np.sin(yaws_rad), xy_m[:, 0])
     to_first, to_second = _to_side(first), _to_side(second)
@@ -49,7 +49,7 @@ def best_yaw(xy_m: Float[np.ndarray, "n 2"], yaws_rad: Float[np.ndarray, " k"] =
     return float(yaws_rad[int(np.argmax(scores(xy_m, yaws_rad, criterion)))]), criterion
 
 
-def turned_yaw(xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, turns_rad: Float[np.ndarray, " k"]) -> float:
+def refine_yaw(xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, turns_rad: Float[np.ndarray, " k"]) -> float:
     """A yaw that is known to a few degrees, turned to where the closeness is best.
 
     The known yaw holds a little: a turn of 4 degrees has to be 2 % closer, which points at one side alone never are.
@@ -59,9 +59,9 @@ def turned_yaw(xy_m: Float[np.ndarray, "n 2"], yaw_rad: float, turns_rad: Float[
         yaw_rad: The yaw.
         turns_rad: Turns to try, shape (k,).
     """
-    found = scores(xy_m, yaw_rad + turns_rad, "closeness")
-    held = _HOLD * (turns_rad / _HOLD_RAD) ** 2
-    return yaw_rad + float(turns_rad[int(np.argmax(found / found.max() - held))])
+    closeness = scores(xy_m, yaw_rad + turns_rad, "closeness")
+    penalty = _HOLD * (turns_rad / _HOLD_RAD) ** 2
+    return yaw_rad + float(turns_rad[int(np.argmax(closeness / closeness.max() - penalty))])
 
 
 def _to_side(along_m: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k n"]:
@@ -107,8 +107,8 @@ def search(
     Returns:
         Rectangles (x, y, length, width, yaw), and the score of each.
     """
-    found = [_search_one(xy_m, np.asarray(at_m, dtype=np.float64), float(yaw), prior, reach_m) for yaw in yaws_rad]
-    return np.array([box for box, _ in found]), np.array([score for _, score in found])
+    best = [_search_one(xy_m, np.asarray(at_m, dtype=np.float64), float(yaw), prior, reach_m) for yaw in yaws_rad]
+    return np.array([box for box, _ in best]), np.array([score for _, score in best])
 
 
 def _search_one(

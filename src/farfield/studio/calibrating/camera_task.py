@@ -37,7 +37,7 @@ from farfield.studio.calibrating.task import (
     bars,
     camera_of,
     camera_values,
-    known_of,
+    observability,
     same_lens,
 )
 from farfield.studio.messages.calibration import CalibFrame, CalibrationKind, CameraValues, Figure, Residuals
@@ -66,7 +66,7 @@ class CameraTask:
         self.data, self._pairs = data, settings.pairs
         indices = chosen(data, settings.sequence, settings.frames, runs=False)
         beginning = settings.beginning
-        self.sensor = _named(data, indices, settings.camera, given=beginning is not None and beginning.given)
+        self.sensor = _named(data, indices, settings.camera, guessed=beginning is not None and beginning.given)
         self.indices = [index for index in indices if self.sensor in data[index].images]
         first = data[self.indices[0]]
         self.stored = first.cameras.get(self.sensor)
@@ -80,8 +80,8 @@ class CameraTask:
         self._shape = shape
         self.lidar = next(iter(first.clouds))
         self.frames = tuple(
-            CalibFrame(index=index, name="/".join(data.keys[index]), number=place)
-            for place, index in enumerate(self.indices)
+            CalibFrame(index=index, name="/".join(data.keys[index]), number=number)
+            for number, index in enumerate(self.indices)
         )
         self.numbers: dict[str, int] = {}
         self._edges: list[LidarEdges] = []
@@ -98,15 +98,15 @@ class CameraTask:
         """The camera from which moves are counted."""
         return self._begin
 
-    def prepare(self, told: Told) -> None:
+    def prepare(self, progress: Told) -> None:
         """Find the edges of sweeps and pictures."""
         alike = [i for i in self.indices if self.data[i].images[self.sensor].shape == self._shape]
         swept = []
-        for place, index in enumerate(alike):
-            told(_READ * place / len(alike))
+        for number, index in enumerate(alike):
+            progress(_READ * number / len(alike))
             swept.append(sweep_edges(self.data, index, camera=self.sensor, lidar=self.lidar))
         self._skewed = sum(not still for _, still in swept)
-        told(_READ)
+        progress(_READ)
         self._edges = [edges for edges, _ in swept]
         self.indices = alike
         self.frames = tuple(frame for frame in self.frames if frame.index in alike)
@@ -128,7 +128,9 @@ class CameraTask:
         camera = self._camera(now.values)
         views = self._seen(camera)
         away = edge_residuals(camera, views)
-        off = np.array([each for each, pick in zip(self.off_px(now), now.picks, strict=True) if each and pick.used])
+        off = np.array(
+            [distance for distance, pick in zip(self.off_px(now), now.picks, strict=True) if distance and pick.used]
+        )
         figures = (
             Figure(name="edges", value=float(len(away.across_px)), unit=""),
             Figure(name="off, median", value=away.median_px, unit="px"),
@@ -140,7 +142,7 @@ class CameraTask:
         return Residuals(
             figures=figures,
             histogram=bars(away.across_px, _LIMITS_PX, "px"),
-            known=() if sigma is None else known_of(PARAMETERS, sigma),
+            known=() if sigma is None else observability(PARAMETERS, sigma),
             notes=(*notes, *self._hints(now, camera)),
         )
 
@@ -149,11 +151,13 @@ class CameraTask:
         if not now.picks:
             return []
         points, pixels = _columns(now.picks)
-        seen, depth, _ = self._camera(now.values).project(points)
-        off = np.linalg.norm(seen - pixels, axis=1)
-        return [float(each) if z > 0 and np.isfinite(each) else None for each, z in zip(off, depth, strict=True)]
+        projected, depth, _ = self._camera(now.values).project(points)
+        off = np.linalg.norm(projected - pixels, axis=1)
+        return [
+            float(distance) if z > 0 and np.isfinite(distance) else None for distance, z in zip(off, depth, strict=True)
+        ]
 
-    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> CalibrationSolution:
+    def solve(self, now: Snapshot, how: str, progress: Told, *, focal: bool) -> CalibrationSolution:
         """Solve by picked pairs or by edges, from the present values."""
         if how == "pairs":
             return self._by_pairs(now, focal=focal)
@@ -161,12 +165,12 @@ class CameraTask:
             raise ConfigError(f"calib.solve: a camera is solved by pairs or edges, got {how}")
         before = self._camera(now.values)
         views = self._seen(before)
-        after = align_edges(before, views, told=told)
+        after = align_edges(before, views, told=progress)
         _, notes = edge_spread(after, views)
         distances = information_check((before, after), self.data, self.indices, self.sensor, self.lidar)
-        said = (*notes, *skew_note(self._skewed, len(self.indices)), *distance_note(distances))
-        words = f"aligned {len(views.points_m)} edges of {len(self.indices)} frames"
-        return CalibrationSolution(values=camera_values(after, self._begin), words=words, notes=said)
+        all_notes = (*notes, *skew_note(self._skewed, len(self.indices)), *distance_note(distances))
+        summary = f"aligned {len(views.points_m)} edges of {len(self.indices)} frames"
+        return CalibrationSolution(values=camera_values(after, self._begin), summary=summary, notes=all_notes)
 
     def save(self, now: Snapshot, folder: Path | None) -> list[Path]:
         """Write where the reader finds it, or our own file into a folder."""
@@ -202,9 +206,9 @@ class CameraTask:
         """The edges in view; others where the camera stands elsewhere."""
         if self._views is None:
             raise ConfigError("the frames are still being read")
-        known, views = self._views
-        away = difference(camera, known)
-        focal = abs(np.log(camera.matrix[0, 0] / known.matrix[0, 0]))
+        viewed_by, views = self._views
+        away = difference(camera, viewed_by)
+        focal = abs(np.log(camera.matrix[0, 0] / viewed_by.matrix[0, 0]))
         if np.abs(away[:3]).max() > _TURNED_RAD or np.abs(away[3:]).max() > _SHIFTED_M or focal > _FOCAL:
             views = seen_by(views, self._edges, camera)
             self._views = (camera, views)
@@ -214,28 +218,30 @@ class CameraTask:
         used = [pick for pick in now.picks if pick.used]
         points, pixels = _columns(used)
         robust = find_spec("cv2") is not None
-        found = calibrate_pairs(points, pixels, self._camera(now.values), focal=focal, from_nothing=robust)
-        far = [pick.number for pick, near in zip(used, found.inlier, strict=True) if not near]
-        notes = [*found.solution.unobserved, *spread_notes(points, pixels, found.camera)]
+        calibration = calibrate_pairs(points, pixels, self._camera(now.values), focal=focal, from_nothing=robust)
+        far = [pick.number for pick, near in zip(used, calibration.inlier, strict=True) if not near]
+        notes = [*calibration.solution.unobserved, *spread_notes(points, pixels, calibration.camera)]
         if far:
             notes.insert(0, f"pair {', '.join(map(str, far))}: too far off for a slip of the hand; look at it again")
-        words = f"solved from {len(used)} picked pairs{' with the focal length' if focal else ''}"
-        return CalibrationSolution(values=camera_values(found.camera, self._begin), words=words, notes=tuple(notes))
+        summary = f"solved from {len(used)} picked pairs{' with the focal length' if focal else ''}"
+        return CalibrationSolution(
+            values=camera_values(calibration.camera, self._begin), summary=summary, notes=tuple(notes)
+        )
 
     def _hints(self, now: Snapshot, camera: Camera) -> tuple[str, ...]:
         used = [pick for pick in now.picks if pick.used]
         return spread_notes(*_columns(used), camera) if used else ()
 
 
-def _named(data: Dataset, indices: list[int], name: str | None, *, given: bool) -> str:
+def _named(data: Dataset, indices: list[int], name: str | None, *, guessed: bool) -> str:
     """The camera's name: the one asked for, or the first with a calibration."""
-    known: dict[str, None] = {}
+    cameras: dict[str, None] = {}
     for index in indices:
         frame = data[index]
-        known |= {each: None for each in frame.images if given or each in frame.cameras}
-        if frame.clouds and (name in known if name is not None else known):
-            return name or next(iter(known))
-    raise ConfigError(f"--camera: expected one of {', '.join(known) or 'no camera at all'}; got {name}")
+        cameras |= {image: None for image in frame.images if guessed or image in frame.cameras}
+        if frame.clouds and (name in cameras if name is not None else cameras):
+            return name or next(iter(cameras))
+    raise ConfigError(f"--camera: expected one of {', '.join(cameras) or 'no camera at all'}; got {name}")
 
 
 def _columns(picks: "tuple[Pick, ...] | list[Pick]") -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:

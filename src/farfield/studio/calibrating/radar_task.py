@@ -24,7 +24,7 @@ from farfield.studio.calibrating.task import (
     Snapshot,
     Values,
     bars,
-    known_of,
+    observability,
     pose_of,
     radar_values,
 )
@@ -63,12 +63,12 @@ class RadarTask:
         self.indices = chosen(data, settings.sequence, settings.frames, runs=True)
         x_m, y_m, yaw_rad, frames = settings.radar
         self.stored = radar_start(data, self.indices[0])
-        given = radar_start(data, self.indices[0], x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
-        self._begin = replace(given, frames=frames)
+        start = radar_start(data, self.indices[0], x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
+        self._begin = replace(start, frames=frames)
         self.sensor, self.lidar = "radar", "os2-64"
         self.frames = tuple(
-            CalibFrame(index=index, name="/".join(data.keys[index]), number=place)
-            for place, index in enumerate(self.indices)
+            CalibFrame(index=index, name="/".join(data.keys[index]), number=number)
+            for number, index in enumerate(self.indices)
         )
         self.numbers: dict[str, int] = {}
         self.evidence: RadarEvidence | None = None
@@ -83,22 +83,22 @@ class RadarTask:
         """No camera."""
         return None
 
-    def prepare(self, told: Told) -> None:
+    def prepare(self, progress: Told) -> None:
         """Read the frames and find the objects that both sensors see."""
         moments: list[SensorPair] = []
-        for place, index in enumerate(self.indices):
-            told(_READ * place / len(self.indices))
+        for number, index in enumerate(self.indices):
+            progress(_READ * number / len(self.indices))
             moment = read_moments([self.data[index]], lidar=self.lidar, node_m=KRADAR_NODE_M)[0]
             numbered = self.lidar in self.data[index].indices
-            moments.append(moment if numbered else replace(moment, number=place))
-        told(_READ)
+            moments.append(moment if numbered else replace(moment, number=number))
+        progress(_READ)
         self.evidence = RadarEvidence.of(moments)
         rows = zip(self.frames, moments, strict=True)
         self.frames = tuple(replace(frame, number=moment.number) for frame, moment in rows)
         members = [i for i, name in enumerate(self.data.sequences) if name == self.data.sequences[self.indices[0]]]
-        known = {self.data[index].indices.get(self.lidar): index for index in members}
-        known |= {frame.number: frame.index for frame in self.frames}
-        self.numbers = {str(number): index for number, index in known.items() if number is not None}
+        index_of = {self.data[index].indices.get(self.lidar): index for index in members}
+        index_of |= {frame.number: frame.index for frame in self.frames}
+        self.numbers = {str(number): index for number, index in index_of.items() if number is not None}
 
     def picks(self) -> tuple[Pick, ...]:
         """None are picked here."""
@@ -108,55 +108,55 @@ class RadarTask:
         """Matched objects in range and azimuth; ``full`` makes no difference."""
         del full
         pose, evidence = _pose(now.values), self._found()
-        number = next((each.number for each in self.frames if each.index == frame), -1)
+        number = next((served.number for served in self.frames if served.index == frame), -1)
         lidar, radar = matches_of(evidence, pose, number)
-        here = tuple(
+        frame_pairs = tuple(
             MatchedPair(lidar_m=(a, b), radar_m=(c, d))
             for (a, b), (c, d) in zip(lidar.tolist(), radar.tolist(), strict=True)
         )
         try:
-            found, pairs = appraise_radar(evidence, pose)
+            calibration, pairs = appraise_radar(evidence, pose)
         except DatasetError as error:
-            return Residuals(pairs=here, lacking=str(error))
+            return Residuals(pairs=frame_pairs, lacking=str(error))
         return Residuals(
-            figures=_figures(found, len(here)),
-            histogram=bars(100 * found.range_m, _LIMITS_CM, "cm"),
-            known=known_of(PARAMETERS, found.solution.sigma),
-            notes=found.notes,
+            figures=_figures(calibration, len(frame_pairs)),
+            histogram=bars(100 * calibration.range_m, _LIMITS_CM, "cm"),
+            known=observability(PARAMETERS, calibration.solution.sigma),
+            notes=calibration.notes,
             objects=_points(pose, pairs),
-            pairs=here,
+            pairs=frame_pairs,
         )
 
     def off_px(self, now: Snapshot) -> list[float | None]:
         """None are picked here."""
         return [None for _ in now.picks]
 
-    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> CalibrationSolution:
+    def solve(self, now: Snapshot, how: str, progress: Told, *, focal: bool) -> CalibrationSolution:
         """Solve from matched objects and maps, from the present values."""
         del focal
         if how != "objects":
             raise ConfigError(f"calib.solve: a radar is solved by objects, got {how}")
-        found = calibrate_radar(self._found(), _pose(now.values), told=told)
-        offsets = {found.pose.frames: 0.0} | found.rivals
-        matches = int(found.residual["matches"])
+        calibration = calibrate_radar(self._found(), _pose(now.values), told=progress)
+        offsets = {calibration.pose.frames: 0.0} | calibration.rivals
+        matches = int(calibration.residual["matches"])
         return CalibrationSolution(
-            values=radar_values(found.pose),
-            words=f"solved from {matches} matched objects in {len(self.indices)} frames",
-            notes=found.notes,
+            values=radar_values(calibration.pose),
+            summary=f"solved from {matches} matched objects in {len(self.indices)} frames",
+            notes=calibration.notes,
             offsets=tuple(OffsetScore(frames=k, worse=float(v)) for k, v in sorted(offsets.items())),
-            detail=found,
+            detail=calibration,
         )
 
     def save(self, now: Snapshot, folder: Path | None) -> list[Path]:
         """Write K-Radar's text file, its side file and, into the data set, ``info_matching``."""
         solved = now.solved.detail if now.solved is not None else None
-        found = solved if solved is not None else self._by_hand(_pose(now.values))
+        calibration = solved if solved is not None else self._by_hand(_pose(now.values))
         index = self.indices[0]
         if folder is None:
-            return save_radar_where_read(self.data, index, found)
+            return save_radar_where_read(self.data, index, calibration)
         difference: int = getattr(self.data, "frame_difference")(self.data.sequences[index])  # noqa: B009
         folder.mkdir(parents=True, exist_ok=True)
-        return save_radar(folder / RADAR_FILE, found, difference=difference)
+        return save_radar(folder / RADAR_FILE, calibration, difference=difference)
 
     def saves_to(self) -> tuple[list[Path], str]:
         """The text file and its side file; ``info_matching`` comes with them."""
@@ -177,10 +177,10 @@ class RadarTask:
     def _by_hand(self, pose: RadarPose) -> RadarCalibration:
         """Values set by hand, with the sigma that matched objects give, or else the one assumed before."""
         try:
-            found, _ = appraise_radar(self._found(), pose)
+            calibration, _ = appraise_radar(self._found(), pose)
         except DatasetError as error:
             return _unsupported(pose, str(error))
-        return replace(found, notes=("set by hand", *found.notes))
+        return replace(calibration, notes=("set by hand", *calibration.notes))
 
 
 def _pose(values: Values) -> RadarPose:
@@ -189,16 +189,16 @@ def _pose(values: Values) -> RadarPose:
     return pose_of(values)
 
 
-def _figures(found: RadarCalibration, here: int) -> tuple[Figure, ...]:
-    rows = found.residual
+def _figures(calibration: RadarCalibration, pairs: int) -> tuple[Figure, ...]:
+    rows = calibration.residual
     return (
         Figure(name="matched", value=rows["matches"], unit=""),
-        Figure(name="this frame", value=float(here), unit=""),
+        Figure(name="this frame", value=float(pairs), unit=""),
         Figure(name="range", value=rows["range_cm"], unit="cm"),
         Figure(name="range", value=rows["range_cells"], unit="cells"),
         Figure(name="azimuth", value=rows["azimuth_deg"], unit="deg"),
         Figure(name="azimuth", value=rows["azimuth_cells"], unit="cells"),
-        Figure(name="echoes above", value=found.echoes_above_m, unit="m"),
+        Figure(name="echoes above", value=calibration.echoes_above_m, unit="m"),
     )
 
 
@@ -214,13 +214,13 @@ def _points(pose: RadarPose, pairs: MatchedObjects) -> tuple[ResidualPoint, ...]
 
 
 def _unsupported(pose: RadarPose, reason: str) -> RadarCalibration:
-    prior = np.array([each.prior_sigma for each in PARAMETERS])
+    prior = np.array([parameter.prior_sigma for parameter in PARAMETERS])
     nothing = np.zeros(0)
     solution = Solution(
         parameters=PARAMETERS,
         value=pose.vector,
         covariance=np.diag(prior**2),
-        unobserved=tuple(f"{each.name} is not observed" for each in PARAMETERS),
+        unobserved=tuple(f"{parameter.name} is not observed" for parameter in PARAMETERS),
         before=nothing,
         after=nothing,
         converged=False,

@@ -99,7 +99,7 @@ class CalibrationService:
         if self._stop:
             raise CancelledError
 
-    def wanted(self, radar: RadarValues | None, camera: CameraValues | None) -> Values:
+    def values_of(self, radar: RadarValues | None, camera: CameraValues | None) -> Values:
         """The values of a message that are of this kind.
 
         Raises:
@@ -130,11 +130,11 @@ class CalibrationService:
         """
         if self.task.kind != "lidar-camera":
             raise CalibrationError("kind", "pairs are picked for a camera only")
-        if all(each.index != frame for each in self.task.frames):
+        if all(served.index != frame for served in self.task.frames):
             raise CalibrationError("frame", f"frame {frame} is not among those that serve", "go to one of them")
         if len(self.now.picks) >= MOST_PICKS:
             raise CalibrationError("full", f"{MOST_PICKS} pairs are picked", "remove some")
-        number = 1 + max((each.number for each in self.now.picks), default=0)
+        number = 1 + max((served.number for served in self.now.picks), default=0)
         self._push(replace(self.now, picks=(*self.now.picks, Pick(number, frame, point_m, pixel))))
 
     def unpick(self, number: int, used: bool | None) -> None:
@@ -143,10 +143,10 @@ class CalibrationService:
         Raises:
             CalibrationError: If there is none of this number.
         """
-        if all(each.number != number for each in self.now.picks):
+        if all(pick.number != number for pick in self.now.picks):
             raise CalibrationError("pick", f"there is no pair {number}")
-        rest = (each for each in self.now.picks if used is not None or each.number != number)
-        rows = (replace(each, used=used) if used is not None and each.number == number else each for each in rest)
+        rest = (pick for pick in self.now.picks if used is not None or pick.number != number)
+        rows = (replace(pick, used=used) if used is not None and pick.number == number else pick for pick in rest)
         self._push(replace(self.now, picks=tuple(rows)))
 
     def take(self, solved: CalibrationSolution) -> None:
@@ -227,7 +227,7 @@ class CalibrationService:
             frames=task.frames,
             numbers=task.numbers,
             picks=self._picks(),
-            solved="" if now.solved is None else now.solved.words,
+            solved="" if now.solved is None else now.solved.summary,
             offsets=() if now.solved is None else now.solved.offsets,
             notes=() if now.solved is None else now.solved.notes,
             undo=self._at > 0,
@@ -249,7 +249,7 @@ class CalibrationService:
                 pixel=pick.pixel,
                 used=pick.used,
                 residual_px=None if off is None else round(off, 3),
-                range_m=round(sum(each * each for each in pick.point_m) ** 0.5, 2),
+                range_m=round(sum(coordinate * coordinate for coordinate in pick.point_m) ** 0.5, 2),
             )
             for pick, off in rows
         )

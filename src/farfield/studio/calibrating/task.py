@@ -92,14 +92,14 @@ class CalibrationSolution:
 
     Args:
         values: The values.
-        words: What was solved and from what.
+        summary: What was solved and from what.
         notes: What the data cannot tell, a sentence each.
         offsets: How much worse other frame offsets are.
         detail: The room's own result, for saving.
     """
 
     values: Values
-    words: str
+    summary: str
     notes: tuple[str, ...]
     offsets: tuple[OffsetScore, ...] = ()
     detail: Any = None
@@ -139,7 +139,7 @@ class CalibrationTask(Protocol):
     def start(self) -> Camera | None:
         """The camera from which moves are counted."""
 
-    def prepare(self, told: Told) -> None:
+    def prepare(self, progress: Told) -> None:
         """Read the frames; takes seconds."""
 
     def picks(self) -> tuple[Pick, ...]:
@@ -151,7 +151,7 @@ class CalibrationTask(Protocol):
     def off_px(self, now: Snapshot) -> list[float | None]:
         """How far each pick falls from its pixel."""
 
-    def solve(self, now: Snapshot, how: str, told: Told, *, focal: bool) -> CalibrationSolution:
+    def solve(self, now: Snapshot, how: str, progress: Told, *, focal: bool) -> CalibrationSolution:
         """Solve from the present values."""
 
     def save(self, now: Snapshot, folder: Path | None) -> list[Path]:
@@ -164,17 +164,19 @@ class CalibrationTask(Protocol):
         """What of these values the files have no place for."""
 
 
-def known_of(
+def observability(
     parameters: Sequence[Parameter], sigma: Float[np.ndarray, " k"], prior: Float[np.ndarray, " k"] | None = None
 ) -> tuple[Known, ...]:
     """How well each parameter is known against what was assumed before: 1 - (sigma / prior sigma)^2 is observed."""
-    assumed = np.array([each.prior_sigma for each in parameters]) if prior is None else prior
+    assumed = np.array([parameter.prior_sigma for parameter in parameters]) if prior is None else prior
     rows = []
-    for each, own, before in zip(parameters, sigma.tolist(), assumed.tolist(), strict=True):
-        unit, factor = _UNITS.get(each.unit, (each.unit, 1.0))
+    for parameter, own, before in zip(parameters, sigma.tolist(), assumed.tolist(), strict=True):
+        unit, factor = _UNITS.get(parameter.unit, (parameter.unit, 1.0))
         share = 0.0 if not np.isfinite(own) else max(0.0, 1.0 - (own / before) ** 2)
-        told = float(own * factor) if np.isfinite(own) else None
-        rows.append(Known(name=each.name, unit=unit, sigma=told, prior=float(before * factor), observed=share))
+        shown_sigma = float(own * factor) if np.isfinite(own) else None
+        rows.append(
+            Known(name=parameter.name, unit=unit, sigma=shown_sigma, prior=float(before * factor), observed=share)
+        )
     return tuple(rows)
 
 

@@ -14,10 +14,10 @@ from farfield.studio.inferring.worker import Worker
 from farfield.studio.messages.replies import Job
 from farfield.studio.threads import ThreadGroup
 
-Found = Callable[["InferJob", int, Boxes], Awaitable[None]]
+Deliver = Callable[["InferJob", int, Boxes], Awaitable[None]]
 _LOG = logging.getLogger(__name__)
-_TOLD_S = 0.2
-"""Progress is told at most so often."""
+_REPORT_S = 0.2
+"""Progress is reported at most so often."""
 
 
 @dataclass(eq=False)
@@ -44,21 +44,21 @@ class InferJob:
     propose: bool = False
     by: str = ""
     total: int = 0
-    done: int = 0
+    frames_done: int = 0
     seconds: float = 0.0
     state: str = "queued"
     message: str = ""
-    told: float = field(default=0.0)
+    reported_at: float = field(default=0.0)
 
     def reply(self) -> Job:
         """Its progress as a message."""
-        left = (self.total - self.done) * self.seconds / self.done if self.done else None
+        left = (self.total - self.frames_done) * self.seconds / self.frames_done if self.frames_done else None
         return Job(
             id=self.id,
             job=self.name,
             kind="infer",
             state=self.state,  # type: ignore[arg-type]
-            done=self.done,
+            done=self.frames_done,
             total=self.total,
             eta_s=None if left is None or self.state != "running" else round(left, 1),
             message=self.message,
@@ -70,12 +70,12 @@ class Jobs:
 
     Args:
         worker: Who detects.
-        found: Takes what was found in a frame.
-        tell: Takes a job whose progress is to be told.
+        deliver: Takes the boxes of a frame.
+        tell: Takes a job whose progress is to be reported.
     """
 
-    def __init__(self, worker: Worker, found: Found, tell: Callable[[InferJob], None]) -> None:
-        self.worker, self.found, self.tell = worker, found, tell
+    def __init__(self, worker: Worker, deliver: Deliver, tell: Callable[[InferJob], None]) -> None:
+        self.worker, self.deliver, self.tell = worker, deliver, tell
         self.jobs: dict[str, InferJob] = {}
         self._waiting: deque[InferJob] = deque()
         self._wake = asyncio.Event()
@@ -130,7 +130,7 @@ class Jobs:
 
     async def _next(self, job: InferJob) -> None:
         job.state, index, started = "running", job.frames.popleft(), time.monotonic()
-        if not job.done:
+        if not job.frames_done:
             self.tell(job)
         try:
             boxes = await self._thread.do(partial(self.worker.ask, job.detector, index))
@@ -140,13 +140,13 @@ class Jobs:
             return
         if job.state == "cancelled":
             return
-        job.done += 1
+        job.frames_done += 1
         job.seconds += time.monotonic() - started
-        await self.found(job, index, boxes)
+        await self.deliver(job, index, boxes)
         if not job.frames:
             self._end(job, "done")
-        elif time.monotonic() - job.told > _TOLD_S:
-            job.told = time.monotonic()
+        elif time.monotonic() - job.reported_at > _REPORT_S:
+            job.reported_at = time.monotonic()
             self.tell(job)
 
     def _end(self, job: InferJob, state: str) -> None:

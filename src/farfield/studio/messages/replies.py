@@ -23,6 +23,7 @@ from farfield.studio.messages.rows import (
     TrackRow,
     Trail,
     message,
+    plain,
 )
 
 VERSION = 1

@@ -49,10 +49,10 @@ def plain(value: Any) -> Any:
     if isinstance(value, str | int | float | bool) or value is None:
         return value
     if isinstance(value, dict):
-        return {name: plain(each) for name, each in value.items()}
+        return {name: plain(item) for name, item in value.items()}
     if isinstance(value, tuple | list):
-        return [plain(each) for each in value]
-    return {name: plain(each) for name, each in vars(value).items()}
+        return [plain(item) for item in value]
+    return {name: plain(item) for name, item in vars(value).items()}
 
 
 State = Literal["proposed", "edited", "accepted", "rejected"]

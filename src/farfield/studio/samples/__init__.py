@@ -31,23 +31,23 @@ class Samples(Dataset):
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
-        part, place = self._places[index]
-        return replace(part.frame(place), sequence=self.sequences[index], simulated=True)
+        part, row = self._places[index]
+        return replace(part.frame(row), sequence=self.sequences[index], simulated=True)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
-        part, place = self._places[index]
-        return part.files(place)
+        part, row = self._places[index]
+        return part.files(row)
 
     def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index``."""
-        part, place = self._places[index]
-        return part.annotation(place)
+        part, row = self._places[index]
+        return part.annotation(row)
 
     def has_annotation(self, index: int) -> bool:
         """Whether frame ``index`` was annotated."""
-        part, place = self._places[index]
-        return part.has_annotation(place)
+        part, row = self._places[index]
+        return part.has_annotation(row)
 
 
 def open_samples(**options: Any) -> Samples:

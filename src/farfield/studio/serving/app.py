@@ -65,8 +65,8 @@ def make_app(session: Session, *, static: Path = STATIC) -> App:
 
 def _files(static: Path) -> dict[str, Path]:
     """The page's files by name: what is not among them is not there, whatever its name says."""
-    found = sorted(static.iterdir()) if static.is_dir() else []
-    return {path.name: path for path in found if path.is_file() and path.suffix in _KINDS}
+    paths = sorted(static.iterdir()) if static.is_dir() else []
+    return {path.name: path for path in paths if path.is_file() and path.suffix in _KINDS}
 
 
 async def _health(request: Request) -> Response:
@@ -126,12 +126,12 @@ async def _shot(request: Request) -> Response:
 
 async def _export(request: Request) -> Response:
     session: Session = request.app.state.session
-    found = session.exports.result(request.path_params["job"])
-    if found is None:
+    file = session.exports.result(request.path_params["job"])
+    if file is None:
         return PlainTextResponse("There is no such file; exports live as long as the studio runs.", 404)
-    body = await in_thread(request, found.path.read_bytes)
-    headers = {"content-disposition": f'attachment; filename="{found.name}"', "cache-control": "no-store"}
-    return Response(body, media_type=found.kind, headers=headers)
+    body = await in_thread(request, file.path.read_bytes)
+    headers = {"content-disposition": f'attachment; filename="{file.name}"', "cache-control": "no-store"}
+    return Response(body, media_type=file.kind, headers=headers)
 
 
 async def _payload(request: Request, make: Callable[[Session], Payload]) -> Response:

@@ -66,12 +66,12 @@ class AccessTokens:
 
     def admit(self, token: str) -> str | None:
         """Turn a token into a session, which is the cookie's value; None if it was used, is too old or was never."""
-        now, found = self.clock(), None
-        for known in list(self._tokens):
-            if secrets.compare_digest(known.encode(), token.encode("utf-8", "replace")):
-                found = known
-        until = self._tokens.pop(found) if found is not None else now
-        self._tokens = {known: end for known, end in self._tokens.items() if end > now}
+        now, match = self.clock(), None
+        for issued in list(self._tokens):
+            if secrets.compare_digest(issued.encode(), token.encode("utf-8", "replace")):
+                match = issued
+        until = self._tokens.pop(match) if match is not None else now
+        self._tokens = {issued: end for issued, end in self._tokens.items() if end > now}
         if until <= now:
             return None
         session = secrets.token_urlsafe(32)
@@ -80,8 +80,8 @@ class AccessTokens:
 
     def admitted(self, cookies: str) -> bool:
         """Whether a Cookie header holds one of the sessions."""
-        given = _cookie(cookies, self.cookie).encode("utf-8", "replace")
-        return any(secrets.compare_digest(known.encode(), given) for known in self._sessions)
+        value = _cookie(cookies, self.cookie).encode("utf-8", "replace")
+        return any(secrets.compare_digest(session.encode(), value) for session in self._sessions)
 
     def set_cookie(self, session: str) -> str:
         """Value of the Set-Cookie header."""
@@ -90,10 +90,10 @@ class AccessTokens:
 
 def _cookie(text: str, name: str) -> str:
     try:
-        found = SimpleCookie(text).get(name)
+        morsel = SimpleCookie(text).get(name)
     except CookieError:
         return ""
-    return "" if found is None else found.value
+    return "" if morsel is None else morsel.value
 
 
 def refusal(method: str, headers: Mapping[str, list[str]], *, socket: bool = False) -> tuple[int, str] | None:
@@ -197,12 +197,12 @@ class Guard:
         await self.app(scope, _BoundedBody(receive), send)
 
     async def _admit(self, scope: Scope, send: Send) -> None:
-        given = parse_qs(scope["query_string"].decode("latin-1"))
-        session = self.entry.admit(given["token"][0]) if given.get("token") else None
+        query = parse_qs(scope["query_string"].decode("latin-1"))
+        session = self.entry.admit(query["token"][0]) if query.get("token") else None
         if session is None:
             await answer(send, 403, USED)
             return
-        rest = {name: values[0] for name, values in given.items() if name in ("frame", "test")}
+        rest = {name: values[0] for name, values in query.items() if name in ("frame", "test")}
         where = "/" + ("?" + urlencode(rest) if rest else "")
         more = [(b"location", where.encode()), (b"set-cookie", self.entry.set_cookie(session).encode())]
         await answer(send, 303, "", more=more)
@@ -213,10 +213,10 @@ def _too_large() -> str:
 
 
 def _headers(scope: Scope) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    values: dict[str, list[str]] = {}
     for name, value in scope["headers"]:
-        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-    return found
+        values.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+    return values
 
 
 def _linked(headers: dict[str, list[str]]) -> bool:

@@ -45,8 +45,8 @@ class DeferredApp:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Wait for the application, then let it answer."""
         if self._app is None and scope["type"] == "http" and scope["path"] == "/health":
-            words = json.dumps({"status": "ok", "ready": False})
-            await answer(send, 200, words, kind="application/json")
+            body = json.dumps({"status": "ok", "ready": False})
+            await answer(send, 200, body, kind="application/json")
             return
         await self._there.wait()
         assert self._app is not None
@@ -59,21 +59,21 @@ def listening(port: int | None) -> socket.socket:
     Raises:
         ConfigError: If the port that was asked for is taken, or all tried are.
     """
-    wanted = [port] if port is not None else range(STUDIO_PORT, STUDIO_PORT + _TRIED)
-    for each in wanted:
-        found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    ports = [port] if port is not None else range(STUDIO_PORT, STUDIO_PORT + _TRIED)
+    for candidate in ports:
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            found.bind(("127.0.0.1", each))
-            found.listen(128)
+            listener.bind(("127.0.0.1", candidate))
+            listener.listen(128)
         except OSError:
-            found.close()
+            listener.close()
             continue
-        return found
-    named = (
+        return listener
+    problem = (
         f"port {port} is taken" if port is not None else f"ports {STUDIO_PORT} to {STUDIO_PORT + _TRIED - 1} are taken"
     )
-    raise ConfigError(f"{named}: choose another with --port, or end what listens there")
+    raise ConfigError(f"{problem}: choose another with --port, or end what listens there")
 
 
 def _say(line: str) -> None:

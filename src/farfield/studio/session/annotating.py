@@ -15,7 +15,7 @@ from farfield.annotation import notes
 from farfield.annotation.edits import (
     add_box,
     delete_box,
-    fill,
+    fill_track,
     interpolate_track,
     merge_tracks,
     propagate_track,
@@ -96,10 +96,10 @@ def _row_in_drive(store: Store, frame: int, drive: str) -> int:
     Raises:
         RefusedError: If the frame is not in it.
     """
-    place = store.drives.place(_key(store, frame))
-    if place.drive != drive:
+    located = store.drives.locate(_key(store, frame))
+    if located.drive != drive:
         raise RefusedError("frame", f"frame {frame} belongs to another drive than the track")
-    return place.row
+    return located.row
 
 
 def _value(value: BoxValue, annotation: AnnotationService) -> dict[str, Any]:
@@ -195,7 +195,7 @@ def _propagated(
     first, last = (_row_in_drive(store, frame, drive) for frame in (request.first, request.last))
     refit = annotation.annotator.refit_near if request.fit else None
     course = propagate_track(store, drive, track, first, last, refit)
-    plan = partial(fill, drive=drive, track=track, boxes=course.boxes, source="propagated", prefix=request.id)
+    plan = partial(fill_track, drive=drive, track=track, boxes=course.boxes, source="propagated", prefix=request.id)
     return store.edit(author, request.id, request.op, plan, data={"message": course.message})
 
 
@@ -359,7 +359,7 @@ async def timing(session: Session, window: ClientWindow, request: requests.Timin
     session.opened.check(request.frame)
     key, id = annotation.store.keys[request.frame], f"time-{window.id}-{time.time_ns()}"[:64]
     note = partial(
-        notes.worked, annotation.store, _author(window), id, key, request.box, request.seconds, request.edits
+        notes.record_time, annotation.store, _author(window), id, key, request.box, request.seconds, request.edits
     )
     await annotation.editor.do(note)
 

@@ -24,7 +24,7 @@ _TOLD_S = 0.1
 """Progress is told at most so often."""
 
 
-def _known(session: Session) -> CalibrationService:
+def _service(session: Session) -> CalibrationService:
     if session.calibrating is None:
         mend = "start it as `farfield calibrate radar-lidar DATA --page`"
         raise CalibrationError("view", "this studio does not calibrate", mend)
@@ -32,151 +32,151 @@ def _known(session: Session) -> CalibrationService:
 
 
 def _ready(session: Session) -> CalibrationService:
-    found = _known(session)
-    if not found.ready:
+    service = _service(session)
+    if not service.ready:
         raise CalibrationError("reading", "the frames are still being read", "wait until they are")
-    return found
+    return service
 
 
 @handles(requests.CalibOpen)
 async def opened(session: Session, window: ClientWindow, request: requests.CalibOpen) -> None:
     """Tell the calibration; the first time, read the frames as a job."""
-    known = _known(session)
-    window.send(known.state(request.id))
-    if known.ready or known.job is not None:
+    service = _service(session)
+    window.send(service.state(request.id))
+    if service.ready or service.job is not None:
         return
-    _start(session, window, request.id, "reading the frames", partial(_prepared, known))
+    _start(session, window, request.id, "reading the frames", partial(_prepare, service))
 
 
-def _prepared(known: CalibrationService, told: Callable[[float], None]) -> None:
-    known.task.prepare(told)
-    known.ready = True
-    known.seq += 1
+def _prepare(service: CalibrationService, progress: Callable[[float], None]) -> None:
+    service.task.prepare(progress)
+    service.ready = True
+    service.seq += 1
 
 
 @handles(requests.CalibMatch)
-async def matched(session: Session, window: ClientWindow, request: requests.CalibMatch) -> None:
+async def residuals(session: Session, window: ClientWindow, request: requests.CalibMatch) -> None:
     """Tell the residuals of some values."""
-    known = _ready(session)
+    service = _ready(session)
     session.opened.check(request.frame)
-    values = known.wanted(request.radar, request.camera)
+    values = service.values_of(request.radar, request.camera)
     session.aside(window, request.id, _residuals(session, window, request, values))
 
 
 async def _residuals(session: Session, window: ClientWindow, request: requests.CalibMatch, values: object) -> None:
-    known, started = _ready(session), time.monotonic()
-    there = replace(known.now, values=values)  # type: ignore[arg-type]
-    work = partial(known.task.residuals, there, request.frame, full=request.full)
-    found = await session.in_thread(work)
+    service, started = _ready(session), time.monotonic()
+    there = replace(service.now, values=values)  # type: ignore[arg-type]
+    work = partial(service.task.residuals, there, request.frame, full=request.full)
+    residuals = await session.in_thread(work)
     spent = round(1e3 * (time.monotonic() - started), 1)
-    window.send(CalibResidual(id=request.id, frame=request.frame, residuals=found, milliseconds=spent))
+    window.send(CalibResidual(id=request.id, frame=request.frame, residuals=residuals, milliseconds=spent))
 
 
 @handles(requests.CalibSet)
-async def put(session: Session, window: ClientWindow, request: requests.CalibSet) -> None:
+async def set_values(session: Session, window: ClientWindow, request: requests.CalibSet) -> None:
     """Take values."""
     del window
-    known = _ready(session)
-    known.set(request.base, known.wanted(request.radar, request.camera))
-    session.broadcast(known.state(request.id))
+    service = _ready(session)
+    service.set(request.base, service.values_of(request.radar, request.camera))
+    session.broadcast(service.state(request.id))
 
 
 @handles(requests.CalibPick)
 async def pick(session: Session, window: ClientWindow, request: requests.CalibPick) -> None:
     """Add a pair."""
     del window
-    known = _ready(session)
-    known.pick(request.frame, request.point_m, request.pixel)
-    session.broadcast(known.state(request.id))
+    service = _ready(session)
+    service.pick(request.frame, request.point_m, request.pixel)
+    session.broadcast(service.state(request.id))
 
 
 @handles(requests.CalibUnpick)
 async def unpick(session: Session, window: ClientWindow, request: requests.CalibUnpick) -> None:
     """Take a pair away, or leave it out or in."""
     del window
-    known = _ready(session)
-    known.unpick(request.pick, request.used)
-    session.broadcast(known.state(request.id))
+    service = _ready(session)
+    service.unpick(request.pick, request.used)
+    session.broadcast(service.state(request.id))
 
 
 @handles(requests.CalibUndo)
 async def undo(session: Session, window: ClientWindow, request: requests.CalibUndo) -> None:
     """Undo or redo."""
     del window
-    known = _ready(session)
-    known.undo(request.what)
-    session.broadcast(known.state(request.id))
+    service = _ready(session)
+    service.undo(request.what)
+    session.broadcast(service.state(request.id))
 
 
 @handles(requests.CalibSolve)
 async def solve(session: Session, window: ClientWindow, request: requests.CalibSolve) -> None:
     """Solve as a job."""
-    known = _ready(session)
-    _start(session, window, request.id, "solving", partial(_solved, known, request))
+    service = _ready(session)
+    _start(session, window, request.id, "solving", partial(_solve, service, request))
 
 
-def _solved(
-    known: CalibrationService, request: requests.CalibSolve, told: Callable[[float], None]
+def _solve(
+    service: CalibrationService, request: requests.CalibSolve, progress: Callable[[float], None]
 ) -> CalibrationSolution:
-    return known.task.solve(known.now, request.how, told, focal=request.focal)
+    return service.task.solve(service.now, request.how, progress, focal=request.focal)
 
 
 @handles(requests.CalibCancel)
 async def cancel(session: Session, window: ClientWindow, request: requests.CalibCancel) -> None:
     """Stop a job."""
     del window
-    known = _known(session)
-    if known.job != request.job:
+    service = _service(session)
+    if service.job != request.job:
         raise CalibrationError("job", f"there is no job {request.job} that runs")
-    known.cancel()
+    service.cancel()
 
 
 @handles(requests.CalibSave)
 async def save(session: Session, window: ClientWindow, request: requests.CalibSave) -> None:
     """Write the calibration."""
-    known = _ready(session)
-    session.aside(window, request.id, _saved(session, known, request))
+    service = _ready(session)
+    session.aside(window, request.id, _save(session, service, request))
 
 
-async def _saved(session: Session, known: CalibrationService, request: requests.CalibSave) -> None:
-    known.begin("save")
+async def _save(session: Session, service: CalibrationService, request: requests.CalibSave) -> None:
+    service.begin("save")
     try:
-        files, copies = await session.in_thread(partial(known.save, request.to))
+        files, copies = await session.in_thread(partial(service.save, request.to))
     finally:
-        known.end()
-    names = tuple(tuple(known.shown(path) for path in paths) for paths in (files, copies))
+        service.end()
+    names = tuple(tuple(service.shown(path) for path in paths) for paths in (files, copies))
     session.broadcast(CalibSaved(id=request.id, files=names[0], copies=names[1]))
-    session.broadcast(known.state(request.id))
+    session.broadcast(service.state(request.id))
 
 
 @handles(requests.CalibRestore)
 async def restore(session: Session, window: ClientWindow, request: requests.CalibRestore) -> None:
     """Put back what the last save replaced."""
     del window
-    known = _ready(session)
-    files = await session.in_thread(known.restore)
-    names = tuple(known.shown(path) for path in files)
+    service = _ready(session)
+    files = await session.in_thread(service.restore)
+    names = tuple(service.shown(path) for path in files)
     session.broadcast(CalibSaved(id=request.id, files=names, copies=(), restored=True))
-    session.broadcast(known.state(request.id))
+    session.broadcast(service.state(request.id))
 
 
 Work = Callable[[Callable[[float], None]], CalibrationSolution | None]
 
 
-def _start(session: Session, window: ClientWindow, name: str, words: str, work: Work) -> None:
+def _start(session: Session, window: ClientWindow, name: str, message: str, work: Work) -> None:
     """Begin a job, if none runs."""
-    known = _known(session)
-    job = Job(id=name, job=f"calib-{next(_NUMBERS)}", kind="calibrate", state="running", total=_STEPS, message=words)
-    known.begin(job.job)
+    service = _service(session)
+    job = Job(id=name, job=f"calib-{next(_NUMBERS)}", kind="calibrate", state="running", total=_STEPS, message=message)
+    service.begin(job.job)
     session.broadcast(job)
-    session.aside(window, name, _run(session, known, replace(job, message=""), work))
+    session.aside(window, name, _run(session, service, replace(job, message=""), work))
 
 
-async def _run(session: Session, known: CalibrationService, job: Job, work: Work) -> None:
+async def _run(session: Session, service: CalibrationService, job: Job, work: Work) -> None:
     """Run a job with progress, and take what it finds; all windows are told."""
-    progress = _Progress(session, known, job)
+    progress = _Progress(session, service, job)
     try:
-        found = await session.in_thread(partial(work, progress.step))
+        solution = await session.in_thread(partial(work, progress.step))
     except CancelledError:
         session.broadcast(replace(job, state="cancelled"))
         return
@@ -187,18 +187,18 @@ async def _run(session: Session, known: CalibrationService, job: Job, work: Work
         session.broadcast(replace(job, state="failed", message="the studio met an error of its own"))
         raise
     finally:
-        known.end()
-    if found is not None:
-        known.take(found)
-    session.broadcast(replace(job, state="done", done=_STEPS, message=found.words if found else ""))
-    session.broadcast(known.state(job.id))
+        service.end()
+    if solution is not None:
+        service.take(solution)
+    session.broadcast(replace(job, state="done", done=_STEPS, message=solution.summary if solution else ""))
+    session.broadcast(service.state(job.id))
 
 
 class _Progress:
     """Tells the windows how far a job is, from the thread in which it runs."""
 
-    def __init__(self, session: Session, known: CalibrationService, job: Job) -> None:
-        self.session, self.known, self.job = session, known, job
+    def __init__(self, session: Session, service: CalibrationService, job: Job) -> None:
+        self.session, self.known, self.job = session, service, job
         self._loop = asyncio.get_running_loop()
         self._told = self._began = time.monotonic()
 
@@ -210,5 +210,5 @@ class _Progress:
             return
         self._told = now
         left = (now - self._began) * (1 - share) / share if share > 0.02 else None
-        done, eta = round(_STEPS * share), None if left is None else round(left, 1)
-        self._loop.call_soon_threadsafe(self.session.broadcast, replace(self.job, done=done, eta_s=eta))
+        steps, eta = round(_STEPS * share), None if left is None else round(left, 1)
+        self._loop.call_soon_threadsafe(self.session.broadcast, replace(self.job, done=steps, eta_s=eta))

@@ -29,24 +29,26 @@ def offered(settings: StudioSettings) -> tuple[DetectorRow, ...]:
         return ()
     from farfield.detectors.catalogue import catalogue
 
-    given = [DetectorRow(name=name, title=Path(name).name) for name in settings.detectors]
-    known = {row.name for row in given}
+    chosen = [DetectorRow(name=name, title=Path(name).name) for name in settings.detectors]
+    names = {row.name for row in chosen}
     shipped = (name for entry in catalogue() for name in (entry.weights, *entry.further))
-    return (*given, *(DetectorRow(name=name, title=name) for name in shipped if name and name not in known))
+    return (*chosen, *(DetectorRow(name=name, title=name) for name in shipped if name and name not in names))
 
 
 def _jobs(session: Session) -> Jobs:
     if session.jobs is None:
         session.jobs = Jobs(
-            Worker(session.frames.data), _DetectionSink(session), lambda job: session.broadcast(_told(session, job))
+            Worker(session.frames.data),
+            _DetectionSink(session),
+            lambda job: session.broadcast(_job_reply(session, job)),
         )
     return session.jobs
 
 
-def _told(session: Session, job: InferJob) -> Job:
-    found = session.frames.sets.get(set_name(job.detector))
+def _job_reply(session: Session, job: InferJob) -> Job:
+    predictions = session.frames.sets.get(set_name(job.detector))
     message = plain_error(job.message, session.data)
-    return replace(job.reply(), message=message, set=None if found is None else found.about)
+    return replace(job.reply(), message=message, set=None if predictions is None else predictions.about)
 
 
 def set_name(detector: str) -> str:
@@ -73,11 +75,11 @@ def detect_shown(session: Session, window: ClientWindow, frame: int) -> None:
     """Run the detectors named at the start on a frame that somebody looks at, unless that was done."""
     key = session.frames.data.keys[frame]
     for name in session.settings.detectors:
-        known = session.frames.sets.get(set_name(name))
+        predictions = session.frames.sets.get(set_name(name))
         asked_for = session.jobs is not None and any(
             frame in job.frames and job.detector == name for job in session.jobs.jobs.values()
         )
-        if not asked_for and (known is None or key not in known.boxes):
+        if not asked_for and (predictions is None or key not in predictions.boxes):
             _start(session, window, "", name, [frame])
 
 
@@ -145,20 +147,20 @@ class _DetectionSink:
         session = self.session
         if boxes.score is not None:
             boxes = boxes[boxes.score >= min(session.settings.threshold, job.threshold or 1.0)]
-        found = predictions_of(session, job.detector)
-        found.boxes[session.frames.data.keys[index]] = boxes
-        known = sorted({*found.about.classes, *map(str, boxes.label)})
-        found.about = replace(found.about, frames=len(found.boxes), classes=tuple(known))
+        predictions = predictions_of(session, job.detector)
+        predictions.boxes[session.frames.data.keys[index]] = boxes
+        classes = sorted({*predictions.about.classes, *map(str, boxes.label)})
+        predictions.about = replace(predictions.about, frames=len(predictions.boxes), classes=tuple(classes))
         if job.propose and session.annotating is not None:
             await propose(session, job, index, boxes)
         for window in list(session.windows.values()):
             if window.frame == index:
-                await self._show(window, found, index)
+                await self._show(window, predictions, index)
 
-    async def _show(self, window: ClientWindow, found: Predictions, index: int) -> None:
-        book = self.session.frames
+    async def _show(self, window: ClientWindow, predictions: Predictions, index: int) -> None:
+        frames = self.session.frames
         shown = await self.session.in_thread(
-            lambda: book.predicted_by(found, index, book.boxes(index), window.threshold)
+            lambda: frames.predicted_by(predictions, index, frames.boxes(index), window.threshold)
         )
         if shown is not None:
-            window.send(Predicted(frame=index, predicted=shown, set=found.about))
+            window.send(Predicted(frame=index, predicted=shown, set=predictions.about))

@@ -27,40 +27,40 @@ _NUMBERS = itertools.count(1)
 async def export(session: Session, window: ClientWindow, request: requests.Export) -> None:
     """Make a file; its link comes with the job that is done."""
     work = _film if request.kind in ("gif", "webp") else _page if request.kind == "html" else _labels
-    session.aside(window, request.id, _made(session, window, request, work))
+    session.aside(window, request.id, _export(session, window, request, work))
 
 
 Work = Callable[[Session, ClientWindow, requests.Export], tuple[str, ExportedFile]]
 
 
-async def _made(session: Session, window: ClientWindow, request: requests.Export, work: Work) -> None:
+async def _export(session: Session, window: ClientWindow, request: requests.Export, work: Work) -> None:
     job = Job(id=request.id, job=f"make-{next(_NUMBERS)}", kind="export", state="running", total=1)
     window.send(job)
     try:
-        name, made = await session.in_thread(lambda: work(session, window, request))
+        name, file = await session.in_thread(lambda: work(session, window, request))
     except FarfieldError as error:
         window.send(replace(job, state="failed", message=plain_error(error, session.data)))
         return
     except Exception:
         window.send(replace(job, state="failed", message="the studio met an error of its own"))
         raise
-    size = made.path.stat().st_size / 1e6
-    message = f"{made.name}: {size:.1f} MB"
+    size = file.path.stat().st_size / 1e6
+    message = f"{file.name}: {size:.1f} MB"
     window.send(replace(job, state="done", done=1, url=f"export/{name}", message=message))
 
 
 def _film(session: Session, window: ClientWindow, request: requests.Export) -> tuple[str, ExportedFile]:
     del window
-    name, made = session.exports.new(request.name, f".{request.kind}")
-    write_animation(made.path, session.exports.shots(request.shots), rate_hz=request.rate_hz)
-    return name, made
+    name, file = session.exports.new(request.name, f".{request.kind}")
+    write_animation(file.path, session.exports.shots(request.shots), rate_hz=request.rate_hz)
+    return name, file
 
 
 def _page(session: Session, window: ClientWindow, request: requests.Export) -> tuple[str, ExportedFile]:
     text = page_of(session, window, request.frames)
-    name, made = session.exports.new(request.name, ".html")
-    made.path.write_text(text, "utf-8")
-    return name, made
+    name, file = session.exports.new(request.name, ".html")
+    file.path.write_text(text, "utf-8")
+    return name, file
 
 
 def page_of(session: Session, window: ClientWindow, frames: tuple[int, ...]) -> str:
@@ -100,8 +100,8 @@ def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], p
         session.exports.close()
 
 
-def _body(book: FrameCache, state: FrameState, layer: Layer) -> bytes:
-    index, opened = state.frame.index, book.opened
+def _body(frames: FrameCache, state: FrameState, layer: Layer) -> bytes:
+    index, opened = state.frame.index, frames.opened
     if layer.kind == "points":
         return opened.cloud(index, layer.id).body
     if layer.kind == "image":
@@ -113,7 +113,7 @@ def _labels(session: Session, window: ClientWindow, request: requests.Export) ->
     if session.annotating is None:
         raise ConfigError("export: labels are exported in `farfield annotate`; `farfield convert` converts data sets")
     del window
-    name, made = session.exports.new(request.name, ".zip")
+    name, file = session.exports.new(request.name, ".zip")
     format = request.format or FORMATS[0]
-    pack(session.annotating.store, format, request.frames, session.exports.folder / name, made.path)
-    return name, made
+    pack(session.annotating.store, format, request.frames, session.exports.folder / name, file.path)
+    return name, file

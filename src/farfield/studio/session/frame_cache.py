@@ -54,9 +54,9 @@ class FrameCache:
         self.simulated = is_simulated(data.root)
         self.first = first_of(settings.first, data)
         self.sets: dict[str, Predictions] = {}
-        for place, path in enumerate(settings.predictions):
-            found = read_set(path, data, format=settings.format, protocol=self.protocol, place=place)
-            self.sets[found.about.name] = found
+        for number, path in enumerate(settings.predictions):
+            predictions = read_set(path, data, format=settings.format, protocol=self.protocol, number=number)
+            self.sets[predictions.about.name] = predictions
 
     def boxes(self, index: int) -> tuple[BoxRow, ...]:
         """The annotated boxes of a frame as they stand."""
@@ -81,15 +81,15 @@ class FrameCache:
 
     def predicted(self, index: int, truth: Sequence[BoxRow], threshold: float) -> tuple[PredictedFrame, ...]:
         """What each set predicts in a frame, matched with the truth."""
-        found = (self.predicted_by(each, index, truth, threshold) for each in list(self.sets.values()))
-        return tuple(each for each in found if each is not None)
+        frames = (self.predicted_by(frame, index, truth, threshold) for frame in list(self.sets.values()))
+        return tuple(frame for frame in frames if frame is not None)
 
     def predicted_by(
-        self, found: Predictions, index: int, truth: Sequence[BoxRow], threshold: float
+        self, predictions: Predictions, index: int, truth: Sequence[BoxRow], threshold: float
     ) -> PredictedFrame | None:
         """What one set predicts in a frame; None where it knows nothing of it."""
         frame = self.opened.frame(index)
-        return found.frame(frame.key, truth, frame.reference, threshold=threshold)
+        return predictions.frame(frame.key, truth, frame.reference, threshold=threshold)
 
     def trails(self, index: int, boxes: Sequence[BoxRow]) -> tuple[Trail, ...]:
         """Where the tracks of a frame were and will be."""
@@ -97,8 +97,15 @@ class FrameCache:
         if drive is None:
             return ()
         tracks = [row.track for row in boxes if row.track is not None]
-        found = trails("", drive, index, tracks, self._annotated) if tracks else ()
-        return (*found, *(trail for each in list(self.sets.values()) for trail in self._predicted(each, drive, index)))
+        annotated = trails("", drive, index, tracks, self._annotated) if tracks else ()
+        return (
+            *annotated,
+            *(
+                trail
+                for predictions in list(self.sets.values())
+                for trail in self._predicted(predictions, drive, index)
+            ),
+        )
 
     def _annotated(self, index: int) -> Sequence[tuple[int, float, float, float]]:
         if self.centres is not None:
@@ -106,13 +113,15 @@ class FrameCache:
         annotation = self.data.annotation(index)
         return [] if annotation is None else _centres(annotation.boxes)
 
-    def _predicted(self, found: Predictions, drive: Drive, index: int) -> tuple[Trail, ...]:
+    def _predicted(self, predictions: Predictions, drive: Drive, index: int) -> tuple[Trail, ...]:
         keys = self.data.keys
-        here = found.boxes.get(keys[index])
-        if here is None or here.track_id is None:
+        boxes = predictions.boxes.get(keys[index])
+        if boxes is None or boxes.track_id is None:
             return ()
-        tracks = [int(track) for track in here.track_id if track >= 0]
-        return trails(found.about.name, drive, index, tracks, lambda other: _centres(found.boxes.get(keys[other])))
+        tracks = [int(track) for track in boxes.track_id if track >= 0]
+        return trails(
+            predictions.about.name, drive, index, tracks, lambda other: _centres(predictions.boxes.get(keys[other]))
+        )
 
 
 def _centres(boxes: Boxes | None) -> list[tuple[int, float, float, float]]:
@@ -161,22 +170,22 @@ def trails(name: str, drive: Drive, index: int, tracks: Sequence[int], centres: 
         tracks: Numbers of the tracks.
         centres: Gives the boxes of any frame.
     """
-    place = int(np.flatnonzero(drive.indices == index)[0])
-    wanted, found = set(tracks), {track: [] for track in tracks}  # type: ignore[var-annotated]
-    for other in range(max(place - AROUND, 0), min(place + AROUND + 1, len(drive.indices))):
+    row = int(np.flatnonzero(drive.indices == index)[0])
+    points: dict[int, list[tuple[int, float, float, float]]] = {track: [] for track in tracks}
+    for other in range(max(row - AROUND, 0), min(row + AROUND + 1, len(drive.indices))):
         frame = int(drive.indices[other])
-        rows = [row for row in centres(frame) if row[0] in wanted]
-        if rows:
-            here = _seen_from(drive, place, other, np.array([row[1:] for row in rows]))
-            for row, (x, y, z) in zip(rows, here.tolist(), strict=True):
-                found[row[0]].append((frame, x, y, z))
-    return tuple(Trail(set=name, track=track, points=tuple(points)) for track, points in found.items() if points)
+        boxes = [box for box in centres(frame) if box[0] in points]
+        if boxes:
+            centres_m = _seen_from(drive, row, other, np.array([box[1:] for box in boxes]))
+            for box, (x, y, z) in zip(boxes, centres_m.tolist(), strict=True):
+                points[box[0]].append((frame, x, y, z))
+    return tuple(Trail(set=name, track=track, points=tuple(trail)) for track, trail in points.items() if trail)
 
 
-def _seen_from(drive: Drive, place: int, other: int, centres_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    if drive.world_T_frame is None or place == other:
+def _seen_from(drive: Drive, row: int, other: int, centres_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    if drive.world_T_frame is None or row == other:
         return centres_m
-    return transform_points(invert(drive.world_T_frame[place]) @ drive.world_T_frame[other], centres_m)
+    return transform_points(invert(drive.world_T_frame[row]) @ drive.world_T_frame[other], centres_m)
 
 
 _MAX_BYTES = 16 << 20
@@ -184,8 +193,8 @@ _MAX_BYTES = 16 << 20
 
 def data_folder() -> Path:
     """The user's data folder of Farfield, ``XDG_DATA_HOME/farfield`` or ``~/.local/share/farfield``."""
-    given = os.environ.get("XDG_DATA_HOME", "")
-    return (Path(given) if given else Path.home() / ".local" / "share") / "farfield"
+    folder = os.environ.get("XDG_DATA_HOME", "")
+    return (Path(folder) if folder else Path.home() / ".local" / "share") / "farfield"
 
 
 class BookmarkStore:
@@ -227,5 +236,5 @@ class BookmarkStore:
 
     def rows(self) -> tuple[Bookmark, ...]:
         """The bookmarks of the frames that are there, in their order."""
-        found = [(self._index[key], *rest) for key, rest in self._rows.items() if key in self._index]
-        return tuple(Bookmark(frame=frame, note=note, by=by) for frame, note, by in sorted(found))
+        bookmarks = [(self._index[key], *rest) for key, rest in self._rows.items() if key in self._index]
+        return tuple(Bookmark(frame=frame, note=note, by=by) for frame, note, by in sorted(bookmarks))

@@ -100,9 +100,9 @@ async def preview(session: Session, window: ClientWindow, request: requests.Prev
 async def bookmark(session: Session, window: ClientWindow, request: requests.BookmarkSet) -> None:
     """Set a bookmark and tell everybody."""
     session.opened.check(request.frame)
-    kept = session.frames.bookmarks
-    await session.in_thread(lambda: kept.set(request.frame, request.note, window.annotator))
-    session.broadcast(Bookmarks(rows=kept.rows()))
+    bookmarks = session.frames.bookmarks
+    await session.in_thread(lambda: bookmarks.set(request.frame, request.note, window.annotator))
+    session.broadcast(Bookmarks(rows=bookmarks.rows()))
 
 
 # Which frames are worth a look: where a set of predictions misses boxes, or finds what is not there.
@@ -115,28 +115,32 @@ _AT_ONCE = 20
 async def match_list(session: Session, window: ClientWindow, request: requests.MatchList) -> None:
     """Match all frames of all sets, part by part."""
     window.matching = token = object()
-    session.aside(window, None, _matched(session, window, request.threshold, token))
+    session.aside(window, None, _match_sets(session, window, request.threshold, token))
 
 
-async def _matched(session: Session, window: ClientWindow, threshold: float, token: object) -> None:
-    places = {key: index for index, key in enumerate(session.frames.data.keys)}
-    for found in list(session.frames.sets.values()):
-        frames = sorted(places[key] for key in list(found.boxes) if key in places)
+async def _match_sets(session: Session, window: ClientWindow, threshold: float, token: object) -> None:
+    index_of = {key: index for index, key in enumerate(session.frames.data.keys)}
+    for predictions in list(session.frames.sets.values()):
+        frames = sorted(index_of[key] for key in list(predictions.boxes) if key in index_of)
         for start in range(0, max(1, len(frames)), _AT_ONCE):
-            rows = await session.in_thread(partial(_rows, session, found, frames[start : start + _AT_ONCE], threshold))
+            rows = await session.in_thread(
+                partial(_rows, session, predictions, frames[start : start + _AT_ONCE], threshold)
+            )
             if window.matching is not token or session.windows.get(window.id) is not window:
                 return
-            window.send(Matches(set=found.about.name, first=start == 0, rows=rows))
+            window.send(Matches(set=predictions.about.name, first=start == 0, rows=rows))
 
 
-def _rows(session: Session, found: Predictions, frames: Sequence[int], threshold: float) -> tuple[MatchRow, ...]:
+def _rows(session: Session, predictions: Predictions, frames: Sequence[int], threshold: float) -> tuple[MatchRow, ...]:
     reference = session.frames.data[frames[0]].reference if frames else ""
-    return tuple(row for index in frames if (row := _row(session, found, index, reference, threshold)) is not None)
+    return tuple(
+        row for index in frames if (row := _row(session, predictions, index, reference, threshold)) is not None
+    )
 
 
-def _row(session: Session, found: Predictions, index: int, reference: str, threshold: float) -> MatchRow | None:
+def _row(session: Session, predictions: Predictions, index: int, reference: str, threshold: float) -> MatchRow | None:
     """Of one frame; None where nothing is wrong, or nothing was annotated and so nothing can be."""
-    shown = found.frame(session.frames.data.keys[index], _truth(session, index), reference, threshold=threshold)
+    shown = predictions.frame(session.frames.data.keys[index], _truth(session, index), reference, threshold=threshold)
     if shown is None:
         return None
     wrong = sum(row.match == "false" for row in shown.rows)

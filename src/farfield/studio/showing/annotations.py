@@ -122,7 +122,7 @@ class AnnotationService:
 
     def drive_of(self, index: int) -> str:
         """The drive of a frame."""
-        return self.store.drives.place(self.store.keys[index]).drive
+        return self.store.drives.locate(self.store.keys[index]).drive
 
     def tracks(self, index: int = 0) -> tuple[TrackRow, ...]:
         """The tracks of a frame's drive."""
@@ -186,7 +186,7 @@ class AnnotationService:
         old, new = change.old or {}, change.new or {}
         if change.old is not None and change.new is not None and _track_facts(old) == _track_facts(new):
             return []
-        drive = self.store.drives.place(key).drive
+        drive = self.store.drives.locate(key).drive
         return [(drive, name) for name in dict.fromkeys((old.get("track"), new.get("track"))) if name]
 
     def conflict(self, id: str, error: ConflictError) -> Conflict:

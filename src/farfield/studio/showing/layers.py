@@ -29,16 +29,18 @@ def layers_of(frame: Frame, index: int, *, root: Path, sweeps: int = 1) -> tuple
         root: Folder of the data set: files are named relative to it.
         sweeps: How many sweeps the clouds hold.
     """
-    found = [*_clouds(frame, sweeps), *_maps(frame), *_pictures(frame, root)]
-    return tuple(replace(each, id=place, url=_url(each, index, place, sweeps)) for place, each in enumerate(found))
+    layers = [*_clouds(frame, sweeps), *_maps(frame), *_pictures(frame, root)]
+    return tuple(
+        replace(layer, id=number, url=_url(layer, index, number, sweeps)) for number, layer in enumerate(layers)
+    )
 
 
-def _url(layer: Layer, index: int, place: int, sweeps: int) -> str:
+def _url(layer: Layer, index: int, number: int, sweeps: int) -> str:
     if layer.kind == "image":
-        return f"image/{index}/{place}"
+        return f"image/{index}/{number}"
     if layer.kind in ("bev", "bfs"):
         return f"radar/{index}/{layer.kind}"
-    return f"layer/{index}/{place}" + (f"?sweeps={sweeps}" if sweeps > 1 else "")
+    return f"layer/{index}/{number}" + (f"?sweeps={sweeps}" if sweeps > 1 else "")
 
 
 def _clouds(frame: Frame, sweeps: int) -> Iterator[Layer]:

@@ -59,7 +59,7 @@ class Payload:
         Args:
             accepted: Its Accept-Encoding header.
         """
-        names = {word.split(";")[0].strip() for word in accepted.lower().split(",")}
+        names = {coding_name.split(";")[0].strip() for coding_name in accepted.lower().split(",")}
         coding = next((name for name in ("zstd", "gzip") if name in names and self.kind != "image/jpeg"), "")
         if not coding or self.kind.startswith("image/"):
             return self.body, ""
@@ -142,52 +142,52 @@ class OpenedDataset:
                 self.frame(index, sweeps)
             except FarfieldError as error:
                 notes, sweeps = [f"one sweep is shown: {plain_error(error, self.data)}"], 1
-        found = layers_of(self.frame(index), index, root=self.data.root, sweeps=sweeps)
-        return found, (*notes, *_missing(found, self.frame(index)))
+        layers = layers_of(self.frame(index), index, root=self.data.root, sweeps=sweeps)
+        return layers, (*notes, *_missing(layers, self.frame(index)))
 
-    def layer(self, index: int, place: int) -> Layer:
+    def layer(self, index: int, number: int) -> Layer:
         """One layer by its number.
 
         Raises:
             ConfigError: If the frame has none of this number.
         """
-        found = layers_of(self.frame(index), index, root=self.data.root)
-        if not 0 <= place < len(found):
-            raise ConfigError(f"layer: frame {index} has {len(found)} layers, got number {place}")
-        return found[place]
+        layers = layers_of(self.frame(index), index, root=self.data.root)
+        if not 0 <= number < len(layers):
+            raise ConfigError(f"layer: frame {index} has {len(layers)} layers, got number {number}")
+        return layers[number]
 
-    def cloud(self, index: int, place: int, sweeps: int = 1) -> Payload:
+    def cloud(self, index: int, number: int, sweeps: int = 1) -> Payload:
         """A cloud as FFP1.
 
         Raises:
             ConfigError: If the layer is no cloud.
         """
-        layer = self.layer(index, place)
+        layer = self.layer(index, number)
         if layer.kind != "points":
-            raise ConfigError(f"layer {place} of frame {index}: expected points, it is {layer.kind}")
-        return self._payloads.get(("cloud", index, place, sweeps), lambda: self._cloud(index, layer, sweeps))
+            raise ConfigError(f"layer {number} of frame {index}: expected points, it is {layer.kind}")
+        return self._payloads.get(("cloud", index, number, sweeps), lambda: self._cloud(index, layer, sweeps))
 
     def _cloud(self, index: int, layer: Layer, sweeps: int) -> Payload:
         cloud = self.frame(index, sweeps).cloud(layer.name)
         facts = {"frame": index, "layer": layer.name, "time_ns": layer.time_ns, "version": 1}
         return Payload.of(encode_cloud(cloud, facts), "application/octet-stream")
 
-    def picture(self, index: int, place: int, *, exact: bool = False) -> Payload:
+    def picture(self, index: int, number: int, *, exact: bool = False) -> Payload:
         """A picture, made once as :func:`~farfield.studio.showing.layers.picture` says.
 
         Args:
             index: The frame.
-            place: The layer.
+            number: The layer.
             exact: Every pixel as the file has it.
 
         Raises:
             ConfigError: If the layer is no picture.
         """
-        layer = self.layer(index, place)
+        layer = self.layer(index, number)
         if layer.kind != "image":
-            raise ConfigError(f"layer {place} of frame {index}: expected a picture, it is {layer.kind}")
+            raise ConfigError(f"layer {number} of frame {index}: expected a picture, it is {layer.kind}")
         return self._payloads.get(
-            ("image", index, place, exact), lambda: Payload.of(*picture(self.data[index], layer.name, exact=exact))
+            ("image", index, number, exact), lambda: Payload.of(*picture(self.data[index], layer.name, exact=exact))
         )
 
     def radar_map(self, index: int, kind: str, low_m: float = 0.0, high_m: float = float("inf")) -> Payload:

@@ -58,27 +58,34 @@ class Predictions:
         if boxes.score is not None:
             boxes = boxes[np.argsort(-boxes.score, kind="stable")]
             boxes = boxes[boxes.score >= threshold] if boxes.score is not None else boxes
-        known = [row for row in truth if row.state not in ("proposed", "rejected")]
-        found = match_frame(self.about.protocol, boxes, Annotation(boxes=boxes_of(known)), key=key, reference=reference)
+        annotated = [row for row in truth if row.state not in ("proposed", "rejected")]
+        matching = match_frame(
+            self.about.protocol, boxes, Annotation(boxes=boxes_of(annotated)), key=key, reference=reference
+        )
         rows = [
-            _judged(row, "unknown" if found.note or not known else _WORDS.get(verdict, "false"), place, known)
-            for row, verdict, place in zip(
-                predicted_rows(boxes), found.verdict.tolist(), found.truth.tolist(), strict=True
+            _with_match(
+                row,
+                "unknown" if matching.note or not annotated else _WORDS.get(verdict, "false"),
+                annotated_row,
+                annotated,
+            )
+            for row, verdict, annotated_row in zip(
+                predicted_rows(boxes), matching.verdict.tolist(), matching.truth.tolist(), strict=True
             )
         ]
         return PredictedFrame(
             set=self.about.name,
             rows=tuple(rows),
-            missed=tuple(row.id for row, missed in zip(known, found.missed, strict=True) if missed),
-            ignored=tuple(row.id for row, counts in zip(known, found.counts, strict=True) if not counts),
+            missed=tuple(row.id for row, missed in zip(annotated, matching.missed, strict=True) if missed),
+            ignored=tuple(row.id for row, counts in zip(annotated, matching.counts, strict=True) if not counts),
         )
 
 
-def _judged(row: PredictedRow, match: Match, place: int, known: Sequence[BoxRow]) -> PredictedRow:
-    return replace(row, match=match, truth=known[place].id if place >= 0 else None)
+def _with_match(row: PredictedRow, match: Match, annotated_row: int, annotated: Sequence[BoxRow]) -> PredictedRow:
+    return replace(row, match=match, truth=annotated[annotated_row].id if annotated_row >= 0 else None)
 
 
-def read_set(path: Path, data: Dataset, *, format: str, protocol: str, place: int) -> Predictions:
+def read_set(path: Path, data: Dataset, *, format: str, protocol: str, number: int) -> Predictions:
     """Read a set of predictions for a data set.
 
     Args:
@@ -86,52 +93,52 @@ def read_set(path: Path, data: Dataset, *, format: str, protocol: str, place: in
         data: The data set in whose frames they lie, in its coordinates.
         format: One of :data:`farfield.metrics.reading.FORMATS`.
         protocol: By which they are matched.
-        place: Number of the set, for its colour.
+        number: Number of the set, for its colour.
 
     Raises:
         ConfigError: If no frame of the data set is among theirs.
     """
-    found = read_predictions(path, format=format)
+    predictions = read_predictions(path, format=format)
     seen_in = data[0].reference
-    if found.reference and found.reference != seen_in:
+    if predictions.reference and predictions.reference != seen_in:
         raise ConfigError(
             f"{path}: expected boxes in the coordinates of {seen_in}, in which the data are shown; they stand in those "
-            f"of {found.reference}. Open the data with --reference {found.reference}, or write the boxes anew"
+            f"of {predictions.reference}. Open the data with --reference {predictions.reference}, or write the boxes anew"
         )
-    boxes = named_as(found.boxes, data)
+    boxes = boxes_of_frames(predictions.boxes, data)
     if not boxes:
-        theirs, ours = next(iter(found.boxes), ("", "none")), next(iter(data.keys), ("", "none"))
+        file_key, data_key = next(iter(predictions.boxes), ("", "none")), next(iter(data.keys), ("", "none"))
         raise ConfigError(
-            f"{path}: expected predictions in frames of {data.root}, got none in common: the file holds {theirs}, the "
-            f"data {ours}. Sequence and frame must be the same text in both."
+            f"{path}: expected predictions in frames of {data.root}, got none in common: the file holds {file_key}, "
+            f"the data {data_key}. Sequence and frame must be the same text in both."
         )
     tracked = all(part.track_id is not None for part in boxes.values())
     about = PredictionSet(
-        name=f"file-{place}",
+        name=f"file-{number}",
         title=path.name,
         kind="tracks" if tracked else "detections",
         classes=tuple(sorted({str(name) for part in boxes.values() for name in np.unique(part.label)})),
         frames=len(boxes),
         protocol=protocol,
-        colour=colour(place),
+        colour=colour(number),
     )
     return Predictions(about, boxes)
 
 
-def named_as(boxes: Mapping[Key, Boxes], data: Dataset) -> dict[Key, Boxes]:
+def boxes_of_frames(boxes: Mapping[Key, Boxes], data: Dataset) -> dict[Key, Boxes]:
     """The boxes of the data set's frames; a file without sequences is taken for a data set that has only one."""
-    known = set(data.keys)
-    exact = {key: part for key, part in boxes.items() if key in known}
+    keys = set(data.keys)
+    exact = {key: part for key, part in boxes.items() if key in keys}
     sequences = set(data.sequences)
     if exact or len(sequences) != 1 or len({sequence for sequence, _ in boxes}) > 1:
         return exact
     only = next(iter(sequences))
-    return {(only, frame): part for (_, frame), part in boxes.items() if (only, frame) in known}
+    return {(only, frame): part for (_, frame), part in boxes.items() if (only, frame) in keys}
 
 
-def colour(place: int) -> str:
+def colour(number: int) -> str:
     """Colour of a set, apart from the others for everybody."""
-    return _COLOURS[place % len(_COLOURS)]
+    return _COLOURS[number % len(_COLOURS)]
 
 
 # Which predictions of one frame are right, by the matching of the protocol that scores them.
@@ -175,11 +182,14 @@ def match_frame(protocol: str, predicted: Boxes, annotation: Annotation, *, key:
     verdict, truth = np.zeros(n, dtype=np.int64), np.full(n, -1)
     counts, missed = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
     scored = predicted if predicted.score is not None else predicted.replace(score=np.ones(n))
-    found = Detections(boxes={key: scored}, annotations={key: annotation}, reference=reference)
+    detections = Detections(boxes={key: scored}, annotations={key: annotation}, reference=reference)
     note = ""
     try:
-        for part in _parts(PROTOCOLS[protocol], found.counted()):
-            rows, boxes = _places(part.predicted, _numbers(scored)), _places(part.annotated, _numbers(annotation.boxes))
+        for part in _class_verdicts(PROTOCOLS[protocol], detections.counted()):
+            rows, boxes = (
+                _match_rows(part.predicted, _numbers(scored)),
+                _match_rows(part.annotated, _numbers(annotation.boxes)),
+            )
             verdict[rows], truth[rows] = part.verdict, np.append(boxes, -1)[part.truth]
             counts[boxes] |= part.counts
             missed[boxes] |= part.counts & ~np.isin(np.arange(len(boxes)), part.truth)
@@ -199,55 +209,57 @@ class _ClassVerdicts:
     counts: Bool[np.ndarray, " m"]
 
 
-def _parts(protocol: Protocol, found: Detections) -> Iterator[_ClassVerdicts]:
+def _class_verdicts(protocol: Protocol, detections: Detections) -> Iterator[_ClassVerdicts]:
     if "label" not in protocol.options():
-        yield from _by(protocol, found, protocol.settings(found))
+        yield from _by(protocol, detections, protocol.settings(detections))
         return
-    names = dict.fromkeys([*protocol.labels(found.annotated), *protocol.labels(found.boxes)])
+    names = dict.fromkeys([*protocol.labels(detections.annotated), *protocol.labels(detections.boxes)])
     for name in names:
-        yield from _by(protocol, found, protocol.settings(found, label=name))
+        yield from _by(protocol, detections, protocol.settings(detections, label=name))
 
 
-def _by(protocol: Protocol, found: Detections, settings: Any) -> Iterator[_ClassVerdicts]:
+def _by(protocol: Protocol, detections: Detections, settings: Any) -> Iterator[_ClassVerdicts]:
     if isinstance(settings, CentreSettings):
-        yield _by_centre(found, settings)
+        yield _by_centre(detections, settings)
     elif isinstance(settings, KRadarSettings):
-        yield from _by_kradar(found, settings)
+        yield from _by_kradar(detections, settings)
     elif isinstance(settings, KittiSettings):
-        yield _by_kitti(found, settings)
+        yield _by_kitti(detections, settings)
     else:
         raise FarfieldError(f"protocol {protocol} does not say how it matches a frame; choose dds, kradar or kitti")
 
 
-def _by_centre(found: Detections, settings: CentreSettings) -> _ClassVerdicts:
-    scene = gather(found.boxes, found.annotated, settings)
-    taken = match_scene(scene, settings).taken[settings.epsilons[0], settings.error_thresholds_m[-1]]
-    verdict = np.where(taken >= 0, MATCHED, np.where(taken == DROPPED, IGNORED, FALSE))
-    truth = np.where(taken >= 0, taken, -1)
+def _by_centre(detections: Detections, settings: CentreSettings) -> _ClassVerdicts:
+    scene = gather(detections.boxes, detections.annotated, settings)
+    matches = match_scene(scene, settings).taken[settings.epsilons[0], settings.error_thresholds_m[-1]]
+    verdict = np.where(matches >= 0, MATCHED, np.where(matches == DROPPED, IGNORED, FALSE))
+    truth = np.where(matches >= 0, matches, -1)
     return _ClassVerdicts(_numbers(scene.predicted), _numbers(scene.annotated), verdict, truth, ~scene.ignored)
 
 
-def _by_kradar(found: Detections, settings: KRadarSettings) -> Iterator[_ClassVerdicts]:
-    data = gather_kradar(found.boxes, found.annotated, settings, None)
+def _by_kradar(detections: Detections, settings: KRadarSettings) -> Iterator[_ClassVerdicts]:
+    data = gather_kradar(detections.boxes, detections.annotated, settings, None)
     shift = np.zeros(7)
     shift[:3] = settings.origin_m if settings.boxes_in == "os2-64" else 0.0
     enough = data.overlap["3d"] > settings.ious[0]
-    truth = _chosen(data.pair[enough], data.overlap["3d"][enough], len(data.predicted))
+    truth = _assign_by_overlap(data.pair[enough], data.overlap["3d"][enough], len(data.predicted))
     verdict = np.where(truth >= 0, MATCHED, FALSE)
     counts = np.ones(len(data.annotated), dtype=bool)
     yield _ClassVerdicts(data.predicted.box + shift, data.annotated.box + shift, verdict, truth, counts)
 
 
-def _by_kitti(found: Detections, settings: KittiSettings) -> _ClassVerdicts:
-    data = gather_kitti(found.boxes, found.annotated, settings, {}, None)
+def _by_kitti(detections: Detections, settings: KittiSettings) -> _ClassVerdicts:
+    data = gather_kitti(detections.boxes, detections.annotated, settings, {}, None)
     enough = data.overlap["3d"] > settings.least_overlap
-    truth = _chosen(data.pair[enough], data.overlap["3d"][enough], len(data.predicted))
+    truth = _assign_by_overlap(data.pair[enough], data.overlap["3d"][enough], len(data.predicted))
     right = data.is_label[truth] & (truth >= 0) if len(data.is_label) else np.zeros(len(truth), dtype=bool)
     verdict = np.where(right, MATCHED, np.where(truth >= 0, IGNORED, FALSE))
     return _ClassVerdicts(_numbers(data.predicted), _numbers(data.annotated), verdict, truth, data.is_label)
 
 
-def _chosen(pair: Int[np.ndarray, "p 2"], overlap: Float[np.ndarray, " p"], predictions: int) -> Int[np.ndarray, " n"]:
+def _assign_by_overlap(
+    pair: Int[np.ndarray, "p 2"], overlap: Float[np.ndarray, " p"], predictions: int
+) -> Int[np.ndarray, " n"]:
     """The annotated box of each prediction, or -1: boxes choose in their order what overlaps most and is free."""
     truth = np.full(predictions, -1)
     for box in np.unique(pair[:, 0]):
@@ -261,7 +273,7 @@ def _numbers(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
     return np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
 
 
-def _places(rows: Float[np.ndarray, "k 7"], among: Float[np.ndarray, "n 7"]) -> Int[np.ndarray, " k"]:
+def _match_rows(rows: Float[np.ndarray, "k 7"], among: Float[np.ndarray, "n 7"]) -> Int[np.ndarray, " k"]:
     """Where rows stand among others that hold all of them, to the rounding of a shift; equal ones in their order."""
     places = np.zeros(len(rows), dtype=np.int64)
     free = np.ones(len(among), dtype=bool)

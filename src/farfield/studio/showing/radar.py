@@ -30,8 +30,8 @@ def axes_of(product: str, kind: LayerKind) -> tuple[Polar | None, Grid | None]:
     """Where the cells of a map lie; see :class:`~farfield.studio.messages.rows.Polar`."""
     if product in ("polar3d", "moments"):
         angles = [np.radians(axis) for axis in (KRADAR_AXES.azimuth_deg, KRADAR_AXES.elevation_deg)]
-        known = {"range_m": _axis(KRADAR_AXES.range_m), "azimuth_rad": _axis(angles[0])}
-        return Polar(**known, elevation_rad=_axis(angles[1])), None
+        plane = {"range_m": _axis(KRADAR_AXES.range_m), "azimuth_rad": _axis(angles[0])}
+        return Polar(**plane, elevation_rad=_axis(angles[1])), None
     if kind == "bev":
         return None, Grid(x_m=_axis(CUBE_X_M), y_m=_axis(CUBE_Y_M))
     return None, Grid(y_m=_axis(CUBE_Y_M), z_m=_axis(CUBE_Z_M))

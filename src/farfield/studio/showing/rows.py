@@ -43,7 +43,7 @@ def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[
     boxes = annotation.boxes
     lidar, radar = (None, None) if frame is None else (counted(frame, boxes, "lidar"), counted(frame, boxes, "radar"))
     lidar = boxes.point_count if lidar is None else lidar
-    seen = annotation.visibility
+    visibility = annotation.visibility
     return tuple(
         BoxRow(
             id=str(row),
@@ -57,7 +57,7 @@ def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[
             points=None if lidar is None or lidar[row] < 0 else int(lidar[row]),
             radar_points=None if radar is None else int(radar[row]),
             distance_m=float(boxes.range_m[row]),
-            visibility=None if seen is None else str(seen[row]),
+            visibility=None if visibility is None else str(visibility[row]),
             moving=None if annotation.moving is None else bool(annotation.moving[row]),
         )
         for row in range(len(boxes))
@@ -65,15 +65,15 @@ def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[
 
 
 def _attributes(annotation: Annotation, row: int) -> dict[str, str | int | float | bool | None]:
-    known: dict[str, Any] = {}
+    attributes: dict[str, Any] = {}
     if annotation.original_label is not None:
-        known["original_label"] = str(annotation.original_label[row])
+        attributes["original_label"] = str(annotation.original_label[row])
     for name, rows in annotation.details.items():
         value = np.asarray(rows)[row]
         if value.ndim == 0:
             plain = value.item()
-            known[name] = plain if not isinstance(plain, float) or np.isfinite(plain) else None
-    return known
+            attributes[name] = plain if not isinstance(plain, float) or np.isfinite(plain) else None
+    return attributes
 
 
 def counted(frame: Frame, boxes: Boxes, kind: str) -> Int[np.ndarray, " n"] | None:

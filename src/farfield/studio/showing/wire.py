@@ -52,8 +52,8 @@ def encode_map(level: Float[np.ndarray, "rows columns"], facts: Mapping[str, Any
         level: Values; NaN where there is none.
         facts: What else the header says.
     """
-    known = level[np.isfinite(level)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    finite = level[np.isfinite(level)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     high = high if high > low else low + 1.0
     scaled = np.where(np.isfinite(level), 1 + np.rint((level - low) / (high - low) * (_STEPS - 1)), 0).astype(np.uint8)
     arrays = {"level": (np.ascontiguousarray(scaled), {"low": low, "high": high})}
@@ -110,8 +110,8 @@ def _span(name: str, values: Shaped[np.ndarray, " n"]) -> tuple[float, float]:
         return 0.0, 1.0
     if values.dtype.kind in "ub" and (not len(values) or values.max() <= _STEPS):
         return 0.0, 255.0
-    known = values[np.isfinite(values)] if values.dtype.kind == "f" else values
-    return (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
+    return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
 
 
 def _shown(name: str, column: Shaped[np.ndarray, " n ..."]) -> tuple[str, Shaped[np.ndarray, " n ..."]]:
@@ -125,8 +125,8 @@ def _shown(name: str, column: Shaped[np.ndarray, " n ..."]) -> tuple[str, Shaped
 
 def _ages_s(time_ns: Shaped[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Seconds before the latest point."""
-    whole = np.asarray(time_ns).astype(np.int64)
-    return (whole.max(initial=0) - whole) / 1e9 if len(whole) else np.zeros(0)
+    times_ns = np.asarray(time_ns).astype(np.int64)
+    return (times_ns.max(initial=0) - times_ns) / 1e9 if len(times_ns) else np.zeros(0)
 
 
 def _packed(header: dict[str, Any], arrays: Mapping[str, tuple[np.ndarray, dict[str, Any]]]) -> bytes:
@@ -143,11 +143,11 @@ def _packed(header: dict[str, Any], arrays: Mapping[str, tuple[np.ndarray, dict[
         entry["offset"] = at
         at += _aligned(rows.nbytes)
     text = json.dumps(header).encode().ljust(start - 8)
-    whole = bytearray(at)
-    whole[:start] = _MAGIC + (start - 8).to_bytes(4, "little") + text
+    packed = bytearray(at)
+    packed[:start] = _MAGIC + (start - 8).to_bytes(4, "little") + text
     for entry, (rows, _) in zip(fields, arrays.values(), strict=True):
-        whole[entry["offset"] : entry["offset"] + rows.nbytes] = rows.tobytes()
-    return bytes(whole)
+        packed[entry["offset"] : entry["offset"] + rows.nbytes] = rows.tobytes()
+    return bytes(packed)
 
 
 def _aligned(size: int) -> int:
