@@ -103,7 +103,8 @@ def read_set(path: Path, data: Dataset, *, format: str, protocol: str, number: i
     if predictions.reference and predictions.reference != seen_in:
         raise ConfigError(
             f"{path}: expected boxes in the coordinates of {seen_in}, in which the data are shown; they stand in those "
-            f"of {predictions.reference}. Open the data with --reference {predictions.reference}, or write the boxes anew"
+            f"of {predictions.reference}. Open the data with --reference {predictions.reference}, or write the boxes "
+            "anew"
         )
     boxes = boxes_of_frames(predictions.boxes, data)
     if not boxes:
