@@ -53,9 +53,9 @@ from farfield.annotation.store import Author, EditResult, Store
 from farfield.annotation.surroundings import SortedPoints, cloud_name
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import CellEdit, journal_folder, track_cell
-from farfield.datasets.edits.places import user_folder
+from farfield.datasets.edits.journal import user_folder
 from farfield.datasets.labels import BoxLabel, LabelFormat, Numbers
-from farfield.datasets.labels.choosing import label_files_in, label_format
+from farfield.datasets.labels.formats import label_files_in, label_format
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.frame import Boxes, Frame, Key

@@ -16,7 +16,7 @@ from farfield.annotation.label_files import digest
 from farfield.annotation.store import Author, EditResult, Store
 from farfield.datasets.edits import CellEdit
 from farfield.datasets.labels import BoxLabel, LabelFormat
-from farfield.datasets.labels.choosing import label_files_in
+from farfield.datasets.labels.formats import label_files_in
 from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_bytes, write_text
 from farfield.frame import Key
