@@ -39,7 +39,6 @@ from farfield.annotation.motion import RefitBox, TrackFrame, from_world, to_worl
 from farfield.annotation.saving import SaveSummary, save, save_target
 from farfield.annotation.schema import (
     AttributeSettings,
-    ClassPreset,
     ClassSettings,
     Extent,
     Schema,
@@ -410,13 +409,12 @@ def offered_classes(
     presets = annotated_classes(format_name, classes)
     if label_sizes_m and set(label_sizes_m) <= set(CIRRUS_CLASSES):
         presets = shown_classes(format_name, classes)
-    offered = {preset.name: _class_settings(preset) for preset in presets}
+    offered = {
+        name: ClassSettings(size_m=size_m, types=dict(types), fastest_m_s=fastest(name))
+        for name, size_m, types in presets
+    }
     others = {name: size for name, size in label_sizes_m.items() if name and name not in offered}
     return offered | {name: ClassSettings(size_m=size, fastest_m_s=fastest(name)) for name, size in others.items()}
-
-
-def _class_settings(preset: ClassPreset) -> ClassSettings:
-    return ClassSettings(size_m=preset.size_m, types=dict(preset.types), fastest_m_s=fastest(preset.name))
 
 
 def _csv_copy(data: Dataset, folder: Path) -> LabelFormat:

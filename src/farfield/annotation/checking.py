@@ -1,4 +1,8 @@
-"""All checks of a frame."""
+"""Checks of annotated boxes: pure functions, quick enough to run at every edit.
+
+:func:`check` runs all of them over a frame: boxes that cannot be, sizes, overlaps, doubles, tracks over the frames
+around, points of the LiDAR, and what a detector sees.
+"""
 
 import math
 from collections import Counter
@@ -11,13 +15,11 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.annotation.motion import turn_angle
-from farfield.annotation.surroundings import Points, Surroundings, beyond_m, in_box_axes
+from farfield.annotation.surroundings import Surroundings, beyond_m, in_box_axes
 from farfield.datasets.labels import BoxLabel, Numbers
 from farfield.frame import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
-
-# What checks are given and what they say.
 
 Severity = Literal["info", "warning", "error"]
 
@@ -246,7 +248,7 @@ def _rank(finding: LabelIssue) -> tuple[bool, int]:
     return finding.ignored is not None, _SEVERITIES.index(finding.severity)
 
 
-# Checks of one box by itself, and of the boxes of a frame among each other.
+# One box by itself, and the boxes of a frame among each other
 
 
 def finding(scene: CheckedFrame, label: BoxLabel, check: str, severity: Severity, sentence: str) -> LabelIssue:
@@ -344,7 +346,7 @@ def twice(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterat
             yield finding(scene, label, "twice", "error", sentence)
 
 
-# Checks of a track in the frames around: size, turn, jump, speed, gaps, length.
+# A track in the frames around: size, turn, jump, speed, gaps, length
 
 FRAME_S = 0.1
 """The limit of a turn is one for frames 0.1 s apart; over longer times it grows, up to a quarter turn."""
@@ -357,8 +359,10 @@ def courses(boxes: Labels, scene: CheckedFrame, tracks: Courses, settings: Check
     """All checks of the tracks that are in the frame."""
     for label in boxes:
         course = tracks.get(label.track) if label.track else None
-        step = None if course is None else _step_of(course.steps, scene.row)
-        if course is None or step is None:
+        if course is None:
+            continue
+        step = next((number for number, step in enumerate(course.steps) if step.row == scene.row), None)
+        if step is None:
             continue
         if course.frames < settings.shortest_track:
             sentence = f"{label.label} {label.track} is in {course.frames} frames only."
@@ -366,10 +370,6 @@ def courses(boxes: Labels, scene: CheckedFrame, tracks: Courses, settings: Check
         yield from _jump(label, course, step, scene, settings)
         if step > 0:
             yield from _changes_since(label, course, step, scene, settings)
-
-
-def _step_of(steps: Sequence[TrackStep], row: int) -> int | None:
-    return next((number for number, step in enumerate(steps) if step.row == row), None)
 
 
 def _changes_since(
@@ -425,15 +425,12 @@ def _bend(steps: Sequence[TrackStep], middle: int) -> float | None:
     first, second, third = steps[middle - 1 : middle + 2]
     if third.row - first.row != 2:
         return None
-    return math.dist(third.box[:2], _ahead(first.box, second.box, first, second, third))
-
-
-def _ahead(before: Numbers, now: Numbers, first: TrackStep, second: TrackStep, third: TrackStep) -> tuple[float, float]:
     share = (third.time_s - second.time_s) / max(second.time_s - first.time_s, 1e-3)
-    return now[0] + share * (now[0] - before[0]), now[1] + share * (now[1] - before[1])
+    x, y = (now + share * (now - before) for before, now in zip(first.box[:2], second.box[:2], strict=True))
+    return math.dist(third.box[:2], (x, y))
 
 
-# Checks of boxes against the points: on the ground, not empty, nothing of the object left outside.
+# Boxes against the points: on the ground, not empty, nothing of the object left outside
 
 ABOVE_GROUND_M = 0.25
 FEWEST_OF_OBJECT, FEWEST_OUTSIDE = 10, 5
@@ -449,7 +446,8 @@ def points(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Itera
     if scene.around is None:
         return
     for label in boxes:
-        local = _near(label, scene.around)
+        radius_m = float(np.hypot(*label.box[3:5])) / 2 + REACH_M
+        local = in_box_axes(scene.around.near(label.box[0], label.box[1], radius_m), label.box)
         beyond = beyond_m(local, label.box)
         height = scene.around.ground_m(label.box)
         ground = None if height is None else height - label.box[2]
@@ -462,11 +460,6 @@ def points(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Itera
         if settings.extent == "full":
             outside = _left(label, near[beyond > FACE_M, 2], ground)
             yield from _outside(label, outside, count, scene, settings)
-
-
-def _near(label: BoxLabel, around: Surroundings) -> Points:
-    reach_m = float(np.hypot(*label.box[3:5])) / 2 + REACH_M
-    return in_box_axes(around.near(label.box[0], label.box[1], reach_m), label.box)
 
 
 def _standing(
@@ -510,7 +503,7 @@ def _outside(
         yield finding(scene, label, "outside", "warning", sentence)
 
 
-# Where a detector sees something else than the annotators did.
+# Where a detector disagrees with the annotators
 
 MEETS_IOU = 0.05
 """Below it, a detection is of no box at all."""

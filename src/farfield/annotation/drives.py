@@ -1,4 +1,4 @@
-"""Where a frame stands in its drive, when, and from where it was seen."""
+"""The drives of a data set: when and from where frames were seen, and which of them hold which track."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -69,8 +69,6 @@ class DriveTable:
         return self._poses[key]
 
 
-# Which frames hold which track: built from a drive's label files when it is first asked for, then kept.
-
 FIRST_NEW = 1
 
 
@@ -89,7 +87,7 @@ class TrackBox(NamedTuple):
 
 
 class TrackIndex:
-    """Boxes of each track.
+    """Boxes of each track, from a drive's label files when it is first needed, then kept up to date.
 
     Args:
         rows: Gives the boxes of a frame as they stand.

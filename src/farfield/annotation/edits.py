@@ -1,4 +1,4 @@
-"""Edits of single boxes, each a plan for :meth:`~farfield.annotation.store.Store.edit`."""
+"""Edits of boxes and of tracks, each a plan for :meth:`~farfield.annotation.store.Store.edit`."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -185,7 +185,7 @@ def _check_terms(store: Store, new: Value, old: Value) -> None:
         raise RefusedError("source", f"expected one of {', '.join(SOURCES[1:])}, got {new['source']!r}")
 
 
-# Edits of tracks, each a plan for :meth:`~farfield.annotation.store.Store.edit`; one edit, however many boxes.
+# Edits of tracks: one edit, however many boxes
 
 
 def track_frames(store: Store, keys: Iterable[Key]) -> list[TrackFrame]:

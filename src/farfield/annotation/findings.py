@@ -1,4 +1,4 @@
-"""The checks of a frame of the annotation as it stands, and of all frames."""
+"""The checks of the annotation as it stands, frame by frame, with the usual sizes of the data set's own boxes."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 

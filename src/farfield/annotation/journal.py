@@ -1,7 +1,8 @@
 """The journal: every edit is on the disk before it is acknowledged.
 
 Group commit: a thread writes all edits that wait and calls fsync once for them; those that come meanwhile share the
-next one. A line is never changed or cut, so that every edit can be taken back, also after a restart.
+next one. A line is never changed or cut, so that every edit can be taken back, also after a restart. One process writes
+a journal: a lock holds its folder, which ends with the process, however that ends.
 """
 
 import os
@@ -16,6 +17,11 @@ from typing import Any
 
 from farfield.annotation.errors import JournalError, JournalHeldError
 from farfield.datasets.edits import JOURNAL, CellEdit, Record, decode, encode, read_journal
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 Take = Callable[[Record], None]
 
@@ -163,7 +169,9 @@ class EditJournal:
                 self._writing, self._waiting = self._waiting, []
                 batch = self._writing
             try:
-                _write_all(self._file, b"".join(line for line, _, _ in batch))
+                rest = memoryview(b"".join(line for line, _, _ in batch))
+                while rest:
+                    rest = rest[os.write(self._file, rest) :]
                 os.fsync(self._file)
             except OSError as error:
                 self._fail(error)
@@ -202,12 +210,6 @@ class EditJournal:
         self.close()
 
 
-def _write_all(file: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(file, view) :]
-
-
 def _sync_folder(folder: Path) -> None:
     """Bring a new name in a folder to the disk."""
     if os.name != "posix":
@@ -218,11 +220,6 @@ def _sync_folder(folder: Path) -> None:
     finally:
         os.close(handle)
 
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 LOCK = "lock"
 MOUNTS = Path("/proc/self/mounts")

@@ -224,9 +224,6 @@ def _astray(key: Key, off_m: float, window_m: float) -> str:
     )
 
 
-# Yaw angles as single numbers: wrapped, and compared by the shorter way round.
-
-
 def wrap_yaw(yaw_rad: float) -> float:
     """A yaw in [-pi, pi); one that lies there keeps every bit.
 

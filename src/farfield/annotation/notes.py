@@ -3,11 +3,11 @@
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from farfield.annotation.errors import RefusedError
-from farfield.annotation.store import EXTENT, Author, EditResult, Store
-from farfield.datasets.edits import CellEdit, Record
+from farfield.annotation.store import EXTENT, Author, EditResult, Store, no_change
+from farfield.datasets.edits import CellEdit
 from farfield.frame import Key
 
 IGNORED, BOOKMARK, TIMING = "ignored", "bookmark", "timing"
@@ -112,12 +112,7 @@ def record_time(store: Store, author: Author, id: str, key: Key, name: str, seco
     if not 0 <= seconds < 86_400:
         raise RefusedError("time", f"expected seconds of a day, got {seconds}")
     data = {"frame": list(key), "box": name, "seconds": round(float(seconds), 3), "edits": int(edits)}
-    return store.edit(author, id, TIMING, _nothing, data=data)
-
-
-def _nothing(store: Store) -> Sequence[CellEdit]:
-    del store
-    return ()
+    return store.edit(author, id, TIMING, no_change, data=data)
 
 
 class AnnotationWork(NamedTuple):
@@ -146,14 +141,10 @@ def annotation_work(store: Store) -> Mapping[str, AnnotationWork]:
     for seq in range(1, len(store.journal) + 1):
         record = store.journal.read(seq)
         if record.op == TIMING:
-            data = _timing(record)
+            data = record.data or {}
             seconds[record.by][*data["frame"], data["box"]] += data["seconds"]
             edits[record.by] += data["edits"]
     return {by: AnnotationWork(len(boxes), sum(boxes.values()), edits[by]) for by, boxes in seconds.items()}
-
-
-def _timing(record: Record) -> Mapping[str, Any]:
-    return record.data or {}
 
 
 class Stopwatch:

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from farfield.annotation.label_files import digest
-from farfield.annotation.store import Author, EditResult, Store
-from farfield.datasets.edits import CellEdit
+from farfield.annotation.store import Author, EditResult, Store, no_change
 from farfield.datasets.labels import BoxLabel, LabelFormat
 from farfield.datasets.labels.formats import label_files_in
 from farfield.errors import ConfigError
@@ -181,7 +180,7 @@ def save_in_place(store: Store, author: Author, id: str) -> SavedLabels:
             for path in files:
                 store.files.keep_original(path)
             states = {store.files.relative(path): digest(data) for path, data in files.items()}
-            note = store.edit(author, id, SAVE, _nothing, data={"files": states} if states else None)
+            note = store.edit(author, id, SAVE, no_change, data={"files": states} if states else None)
         note.saved.result()
         for path, data in files.items():
             _write_or_remove(path, data)
@@ -210,7 +209,7 @@ def save_copy(store: Store, author: Author, id: str, folder: Path) -> SavedLabel
         ]
         if written:
             sync()
-        note = store.edit(author, id, SAVE, _nothing, data={"folder": str(folder), "count": len(written)})
+        note = store.edit(author, id, SAVE, no_change, data={"folder": str(folder), "count": len(written)})
         written = [folder / store.files.relative(path) for path in written]
     return SavedLabels(folder, tuple(written), note)
 
@@ -256,7 +255,8 @@ def export_labels(store: Store, labels: LabelFormat, keys: Sequence[Key]) -> tup
     parts: dict[Path, dict[Key, Sequence[BoxLabel]]] = {}
     with store.lock:
         for key in keys:
-            parts.setdefault(labels.path(key), {})[key] = _renumbered(written_labels(store, key))
+            rows = enumerate(written_labels(store, key))
+            parts.setdefault(labels.path(key), {})[key] = [replace(label, id=f"n{row}") for row, label in rows]
     for path, labels_of in parts.items():
         _write_or_remove(path, labels.render(None, path, labels_of))
     return tuple(parts)
@@ -274,15 +274,6 @@ def save_place(store: Store) -> Path | None:
     beside = root.with_name(f"{root.name}-edited")
     inside = store.folder.parent == root.resolve() and os.access(root.resolve().parent, os.W_OK)
     return beside if inside else store.folder / "saved"
-
-
-def _nothing(store: Store) -> Sequence[CellEdit]:
-    del store
-    return ()
-
-
-def _renumbered(labels: Sequence[BoxLabel]) -> tuple[BoxLabel, ...]:
-    return tuple(replace(label, id=f"n{number}") for number, label in enumerate(labels))
 
 
 def _differs(path: Path, data: bytes | None) -> bool:

@@ -250,7 +250,7 @@ def _row(name: str, value: Mapping[str, Any], version: int, by: str) -> StoredBo
     return StoredBox(label_of(name, value), version, by, None if proposal is None else numbers(proposal))
 
 
-# What each annotator can take back and do again, found from the journal alone: it survives restarts.
+# Undo and redo: what each annotator can take back is derived from the journal alone, so it survives restarts
 
 EDITS = ("box.", "track.")
 """Operations that can be taken back begin so; a save or a bookmark cannot."""
@@ -329,9 +329,6 @@ def _newest(step: UndoStep) -> int:
     return step.seqs[-1]
 
 
-# Taking back and doing again: the inverse of a step, as an edit at the journal's end.
-
-
 def undo(store: Store, author: Author, id: str, *, everybody: bool = False, force: bool = False) -> EditResult:
     """Take back the last step.
 
@@ -358,13 +355,13 @@ def keep(store: Store, author: Author, id: str) -> EditResult:
     """Leave the last step as it is, so that the next undo takes back the one before it."""
     with store.lock:
         seqs = () if store.journal.seq_of(id) is not None else _last(store, author, KEEP, False).seqs
-        return store.edit(author, id, KEEP, _nothing, undoes=seqs)
+        return store.edit(author, id, KEEP, no_change, undoes=seqs)
 
 
 def _step(store: Store, author: Author, id: str, op: str, everybody: bool, force: bool) -> EditResult:
     with store.lock:
         if store.journal.seq_of(id) is not None:
-            return store.edit(author, id, op, _nothing)
+            return store.edit(author, id, op, no_change)
         step = _last(store, author, op, everybody)
         return store.edit(author, id, op, partial(inverse, step=step, force=force), undoes=step.seqs)
 
@@ -377,7 +374,8 @@ def _last(store: Store, author: Author, op: str, everybody: bool) -> UndoStep:
     return step
 
 
-def _nothing(store: Store) -> Sequence[CellEdit]:
+def no_change(store: Store) -> Sequence[CellEdit]:
+    """The plan of what changes no cell, such as the note of a save."""
     del store
     return ()
 

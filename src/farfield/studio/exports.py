@@ -1,4 +1,8 @@
-"""Files that were made and wait to be fetched, in a folder that goes when the studio ends."""
+"""What a person takes away: pictures, films of them, label files, and one HTML file that opens from disk.
+
+What that page would fetch stands in the file, packed by gzip and written in base64; the browser unpacks it by itself.
+The built page cannot be opened from disk as it is: browsers refuse module scripts of ``file://``, but not inline ones.
+"""
 
 import base64
 import gzip
@@ -112,11 +116,7 @@ class Exports:
             shutil.rmtree(self._folder, ignore_errors=True)
 
 
-# One HTML file that opens from disk without a server: the page, its script and the frames in it.
-#
-# What the page would fetch stands in the file, packed by gzip and written in base64; the browser unpacks it by itself.
-# The built page cannot be opened from disk as it is: browsers refuse module scripts of ``file://``, but not inline
-# ones.
+# The HTML file
 
 MOST_FRAMES = 20
 _SCRIPT = re.compile(r'<script type="module"[^>]*src="\./([\w.-]+)"[^>]*></script>')
@@ -150,7 +150,7 @@ def standalone(static: Path, welcome: Welcome, frames: Sequence[FrameState], pay
     held = {
         "welcome": plain(welcome),
         "frames": [plain(frame) for frame in frames],
-        "payloads": {url: _packed(body) for url, body in payloads.items()},
+        "payloads": {url: base64.b64encode(gzip.compress(body, 6, mtime=0)).decode() for url, body in payloads.items()},
     }
     data = json.dumps(held, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     policy = (
@@ -172,10 +172,6 @@ def _inlined(static: Path, pattern: re.Pattern[str], text: str) -> str:
             f"html: expected one script and one style sheet in index.html, found none like {pattern.pattern}"
         )
     return (static / match[1]).read_text("utf-8")
-
-
-def _packed(body: bytes) -> str:
-    return base64.b64encode(gzip.compress(body, 6, mtime=0)).decode()
 
 
 def _hash(text: str) -> str:

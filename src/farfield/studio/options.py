@@ -1,4 +1,4 @@
-"""What a studio is started with."""
+"""What a studio is started with: the data set that it opens, and its settings."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,9 +75,6 @@ class StudioSettings:
     write: bool = False
     notes: Path | None = None
     calibration: CalibrationSettings | None = None
-
-
-# Which data set a studio opens.
 
 
 class DatasetOpener:

@@ -1,4 +1,4 @@
-"""Threads beside the server's event loop, which never waits for a file."""
+"""Threads beside the server's event loop, which never waits for a file, and a cache that they share."""
 
 import asyncio
 import threading
@@ -29,8 +29,6 @@ class ThreadGroup:
         """Begin nothing more; with ``wait``, until what was begun is done."""
         self._pool.shutdown(wait=wait, cancel_futures=True)
 
-
-# What was made lately, kept up to so many bytes.
 
 V = TypeVar("V")
 

@@ -1,4 +1,14 @@
-"""The gestures: each function is one of them, from the points around it to a box on the ground."""
+"""A box from a gesture: a drag, a click, a rectangle, a box to fit again.
+
+All of them take the same steps, in :func:`_search_and_refine` one after the other:
+
+1. The ground about the gesture is a plane, and the points over it are what the box may hold.
+2. A box of the prior's size is searched at a heading: that drawn, the track's, or that of the L-shape of the points
+   that hang together under a click.
+3. The heading is refined where enough points tell by how much.
+4. The rectangle is placed by its points, by rays that passed beyond them, and by the usual size.
+5. It stands on the ground, its top by the points, and the sign of the heading is chosen.
+"""
 
 import time
 from collections.abc import Sequence
@@ -34,15 +44,18 @@ XY = Sequence[float] | Float[np.ndarray, " 2"]
 _SEARCHED_RAD = np.deg2rad(np.array([0.0, -4.0, 4.0]))  # the first is placed, the others are offered
 _REFINED_RAD = np.deg2rad(np.arange(-4.0, 4.5, 0.5))
 _SNAPPED_RAD = np.deg2rad(np.arange(-6.0, 6.5, 0.5))
-_WINDOW_M = 0.2
+_WINDOW_M = 0.2  # points so near a box are taken for the object's
 REACH_M = 0.8
-_POINTS_TO_TURN = 15
-_POINTS_TO_REFIT = 8
-_LEAST_DRAG_M = 0.3
-_TRUSTED_M = 30.0
-_WIDER_M = 2.0
-_BESIDE_M = 1.0
-_LONGER, _LINK_M, _SAME_M = 0.25, 0.5, 1e-6
+"""So far from where it was drawn a box is searched when it is fitted again."""
+_POINTS_TO_TURN = 15  # with fewer, the heading stays as it is
+_POINTS_TO_REFIT = 8  # with fewer, place and heading stay as they are
+_LEAST_DRAG_M = 0.3  # a shorter drag is a click
+_TRUSTED_M = 30.0  # beyond it, the L-shape of few points is trusted less than the lane
+_WIDER_M = 2.0  # points so far beyond the object's size are looked at
+_BESIDE_M = 1.0  # a click so near to a point means that point
+_LONGER, _LINK_M, _SAME_M = 0.25, 0.5, 1e-6  # an object goes on lengthwise by a quarter, without gaps of half a metre
+_POINTS_FOR_TOP, _TOP_QUANTILE, _LEAST_HEIGHT_M = 8, 0.98, 0.3
+_CELLS = 4.0  # cells to a step: denser clouds are thinned to one point a cell before neighbours are sought
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +138,8 @@ def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior
         prior: What is known of the object.
         keep_size: Keep the box's size instead of the prior's or the measured one.
     """
-    start_s, old = time.perf_counter(), np.asarray(box, dtype=np.float64)
+    start_s = time.perf_counter()
+    old = np.asarray(box, dtype=np.float64)
     if keep_size:
         prior = replace(prior, size_m=(float(old[3]), float(old[4]), float(old[5])), fixed_size=True)
     scene = _scene(points_m, (float(old[0]), float(old[1])), prior, least_m=float(np.hypot(old[3], old[4])) / 2)
@@ -134,16 +148,18 @@ def refit(points_m: Float[np.ndarray, "n 3"], box: Sequence[float], prior: Prior
     if len(object_m) < _POINTS_TO_REFIT:
         size = prior.size_m[:2] if prior.grows else drawn[2:4]
         rectangle = np.array([drawn[0], drawn[1], *size, drawn[4]])
-        box_there = stand_on_ground(rectangle, object_m, scene.ground, prior)
+        fitted = stand_on_ground(rectangle, object_m, scene.ground, prior)
         note = f"{len(object_m)} points: place and yaw are as drawn, size and height are set"
-        return _box_fit(scene, box_there, (), "drawn", "drag", start_s, note)
-    at = (float(drawn[0]), float(drawn[1]))
-    rectangle_there = search(scene.xy_m, at, drawn[4:], _drawn_size(drawn, prior), reach_m=REACH_M)[0][0]
-    moved = scene.points_m[inside(scene.xy_m, rectangle_there, _WINDOW_M)]
-    object_m = moved if len(moved) >= _POINTS_TO_REFIT else object_m
+        return _box_fit(scene, fitted, (), "drawn", "drag", start_s, note)
+    # Search about the drawn place, with the prior's size, and of a visible part with the drawn one.
+    sized = prior if prior.grows else replace(prior, size_m=(float(drawn[2]), float(drawn[3]), prior.size_m[2]))
+    best = search(scene.xy_m, (float(drawn[0]), float(drawn[1])), drawn[4:], sized, reach_m=REACH_M)[0][0]
+    near_best_m = scene.points_m[inside(scene.xy_m, best, _WINDOW_M)]
+    object_m = near_best_m if len(near_best_m) >= _POINTS_TO_REFIT else object_m
+    # Refine the heading, place the rectangle, stand on the ground.
     yaw, criterion = _refine_yaw(object_m, float(drawn[4]), _SNAPPED_RAD)
-    box_there = stand_on_ground(_rectangle(scene, object_m, yaw, prior), object_m, scene.ground, prior)
-    return _box_fit(scene, box_there, (), criterion, "drag", start_s)
+    fitted = stand_on_ground(_rectangle(scene, object_m, yaw, prior), object_m, scene.ground, prior)
+    return _box_fit(scene, fitted, (), criterion, "drag", start_s)
 
 
 def fit_rectangle(
@@ -188,13 +204,6 @@ def drop_to_ground(points_m: Float[np.ndarray, "n 3"], box: Sequence[float]) -> 
     return _box_fit(_Scene(ground, points_above(around, ground), points_m), dropped, (), "drawn", "drag", start_s, note)
 
 
-def _drawn_size(drawn: Float[np.ndarray, " 5"], prior: Prior) -> Prior:
-    """The size to search with: the prior's, and of a visible part the drawn one."""
-    if prior.grows:
-        return prior
-    return replace(prior, size_m=(float(drawn[2]), float(drawn[3]), prior.size_m[2]))
-
-
 def _pair(xy: XY) -> tuple[float, float]:
     return float(xy[0]), float(xy[1])
 
@@ -221,10 +230,12 @@ def _search_and_refine(
     drawn_rad: float | None,
     start_s: float,
 ) -> BoxFit:
-    """Search at a yaw, fit what is found to its points, and offer the boxes a little beside it."""
+    """A box searched at a yaw and fitted to its points, with the boxes a little beside it on offer."""
+    # Search at the heading and a little beside it; where nothing is there, about the nearest point.
     rectangles, score, object_m = _search(scene, at, yaw_rad, prior)
     if len(object_m) == 0:
         rectangles, score, object_m = _search(scene, _nearest(scene, at), yaw_rad, prior)
+    # Refine the heading, take what goes on lengthwise, and place the rectangle.
     rectangle, note = rectangles[0], ""
     if len(object_m) == 0:
         rectangle = np.array([*at, *prior.size_m[:2], yaw_rad])
@@ -233,6 +244,7 @@ def _search_and_refine(
         yaw, _ = _refine_yaw(object_m, yaw_rad, _REFINED_RAD)
         object_m = _extend_lengthwise(scene, object_m, yaw, prior)
         rectangle = _rectangle(scene, object_m, yaw, prior)
+    # Choose the sign of the heading, offer the boxes beside, and stand on the ground.
     yaw, source = choose_heading(float(rectangle[4]), prior, drawn_rad)
     rectangle[4] = yaw
     others = tuple(
@@ -331,10 +343,6 @@ def _box_fit(
 
 # From a rectangle to a box: bottom on the ground, top by the points, and the sign of the heading.
 
-_POINTS_FOR_TOP = 8
-_TOP_QUANTILE = 0.98
-_LEAST_HEIGHT_M = 0.3
-
 
 def inside(
     xy_m: Float[np.ndarray, "n 2"], rectangle: Float[np.ndarray, " 5"], margin_m: float = 0.0
@@ -385,8 +393,6 @@ def choose_heading(yaw_rad: float, prior: Prior, drawn_rad: float | None = None)
 
 
 # The points that hang together with the one under the pointer.
-
-_CELLS = 4.0  # cells to a step: denser clouds are thinned to one point a cell before neighbours are sought
 
 
 def link_radius_m(range_m: float, *, small: bool) -> float:

@@ -1,8 +1,8 @@
-"""Where an object cannot be: rays that ended behind it passed through free space.
+"""Where an object begins and ends along its axes, from three kinds of evidence.
 
-A point that was hit says that the object reaches at least so far; a ray that went past, at the height of the body,
-says that it reaches no farther. An end of the object with both is known, whichever side of it looks at the sensor; one
-without rays beyond it is hidden, by the object itself or by what stands in front.
+Points that were hit say that the object reaches at least so far. Rays that went past at the height of its body, and
+ended behind it, say that it reaches no farther. An end with both is known, whichever side of it looks at the sensor;
+one without rays beyond it is hidden, by the object itself or by what stands in front: there the usual size decides.
 """
 
 from dataclasses import dataclass
@@ -131,7 +131,7 @@ def _between(
     return both[0], both[1]
 
 
-# A box's stretch along an axis from three kinds of evidence: points, rays that passed beyond them, and usual size.
+# The box's stretch along each axis
 
 _SPREAD = (0.08, 0.08)  # of lengths and widths within a class, as parts of the usual one
 _FIXED_SPREAD_M = 0.03

@@ -1,4 +1,4 @@
-"""What a gesture's fit takes and gives: the prior of an object, the box found, and the other boxes it may be."""
+"""What a fit takes and gives: the prior of an object, its footprint, the box and the other boxes it may be."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -111,7 +111,7 @@ def boxes_of(box: Sequence[float] | Float[np.ndarray, " 7"]) -> Boxes:
     return Boxes(centre_m=row[:, :3], size_m=row[:, 3:6], yaw_rad=row[:, 6])
 
 
-# From the stretch that points cover along a box's axes to the whole box: the prior's size, put where it belongs.
+# From the stretch that points cover along a box's axes to the whole box
 
 _LEAST_M = 0.1
 _POINTS_ACROSS, _WHOLE = 100, 0.8

@@ -1,4 +1,4 @@
-"""A box for an object that the radar alone sees: the usual size of its type behind the peak."""
+"""A box for an object that the radar alone sees: the peak that a person meant, and the usual size behind it."""
 
 import time
 from collections.abc import Sequence
@@ -70,9 +70,8 @@ def _depth_m(sight: Float[np.ndarray, " 2"], yaw_rad: float, prior: Prior) -> fl
     return min(distances)
 
 
-# The peak of a radar's map that a person meant: the strongest near the pointer, finer than a cell.
-
 REACH_M = 1.5
+"""So far from the pointer a peak may be."""
 _FLOOR = 1e-6  # of the strongest cell, 60 dB below it: logarithms need something
 
 

@@ -1,7 +1,11 @@
-"""The yaw of a rectangle of which one or two sides were seen.
+"""Heading and place of a box by its points.
 
-Zhang, Xu, Dong, Dolan: Efficient L-Shape Fitting for Vehicle Detection Using Laser Scanners, IV 2017, algorithm 2
-(search over the angle), 4 (closeness) and 5 (variance).
+The heading of a rectangle of which one or two sides were seen: Zhang, Xu, Dong, Dolan: Efficient L-Shape Fitting for
+Vehicle Detection Using Laser Scanners, IV 2017, algorithm 2 (search over the angle), 4 (closeness) and 5 (variance).
+
+The place of a box of known size and heading, by the points that it holds and those that it leaves just outside. Score
+of a place: points inside, less points in the 0.6 m round it, and half the points within 0.25 m of the two faces towards
+the sensor. Counts come from sums over a grid of 0.1 m along the box's axes, so that all places are tried.
 """
 
 import numpy as np
@@ -77,11 +81,7 @@ def _variance(values: Float[np.ndarray, "k n"], chosen: np.ndarray) -> Float[np.
     return np.asarray((np.where(chosen, values - mean[:, None], 0) ** 2).sum(axis=1) / count)
 
 
-# Where a box of known size and nearly known yaw stands: by the points it holds, and those it leaves just outside.
-#
-# Score of a place: points inside, less points in the 0.6 m round it, and half the points within 0.25 m of the two
-# faces towards the sensor. Counts come from sums over a grid of 0.1 m along the box's axes, so that all places are
-# tried.
+# The place
 
 CELL_M = 0.1
 _RING_M, _FACE_M, _FACE_WEIGHT = 0.6, 0.25, 0.5

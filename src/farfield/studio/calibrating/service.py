@@ -60,7 +60,11 @@ class CalibrationService:
         self._saved: Values = self._steps[0].values
         self._written: list[Path] = []
         self._stored = self.task.stored
-        self._read = _placing(self._stored) if isinstance(self._stored, RadarPose) else None
+        # What takes the reader's radar points back to the nodes that were measured, in the radar's coordinates.
+        self._read: RadarValues | None = None
+        if isinstance(self._stored, RadarPose):
+            x_m, y_m = self._stored.x_m + KRADAR_NODE_M, self._stored.y_m + KRADAR_NODE_M
+            self._read = radar_values(replace(self._stored, x_m=x_m, y_m=y_m))
         self.seq = 0
         self.ready = False
         self.job: str | None = None
@@ -253,8 +257,3 @@ class CalibrationService:
             )
             for pick, off in rows
         )
-
-
-def _placing(stored: RadarPose) -> RadarValues:
-    """What takes the reader's radar points back to the nodes that were measured, in the radar's coordinates."""
-    return radar_values(replace(stored, x_m=stored.x_m + KRADAR_NODE_M, y_m=stored.y_m + KRADAR_NODE_M))

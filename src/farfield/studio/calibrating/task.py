@@ -1,4 +1,4 @@
-"""What both calibrations have in common: a task reads frames once, tells residuals of any values, solves and saves."""
+"""What both calibrations share: a task reads frames, gives residuals of any values, solves and saves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ from farfield.studio.messages.calibration import (
 _UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0)}
 
 
-# Values between messages and the calibration room's own types.
+# Values between messages and the types of farfield.calibration
 
 Values = RadarValues | CameraValues
 

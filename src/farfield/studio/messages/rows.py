@@ -1,11 +1,14 @@
-"""What messages hold: boxes, layers, frames, classes, checks, predictions. Lengths in metres, angles in radians."""
+"""What messages are made of: checked frozen dataclasses, bounded numbers, boxes, layers, frames, classes, predictions.
+
+Lengths in metres, angles in radians.
+"""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeVar, dataclass_transform
 
 from pydantic import ConfigDict, Field
 
-# What all messages share: frozen dataclasses whose fields are checked, with nothing unknown among them.
+# Frozen dataclasses whose fields are checked, with nothing unknown among them
 
 T = TypeVar("T")
 

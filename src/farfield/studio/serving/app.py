@@ -1,4 +1,4 @@
-"""The routes: the page, layers, pictures, radar maps, health, the WebSocket."""
+"""The routes: the page, layers, pictures, radar maps, health, and the WebSocket."""
 
 import asyncio
 import time
@@ -14,7 +14,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from farfield.errors import FarfieldError
-from farfield.studio.messages.replies import VERSION, Bye, Refused, Reply, write_reply
+from farfield.studio.messages.replies import VERSION, Bye, Refused, write_reply
 from farfield.studio.messages.requests import Edit, Hello, Redo, Undo, read_request
 from farfield.studio.serving.guard import App
 from farfield.studio.session import annotating, calibrating, detecting, exporting, viewing
@@ -59,14 +59,10 @@ def make_app(session: Session, *, static: Path = STATIC) -> App:
     ]
     app = Starlette(routes=routes, exception_handlers={FarfieldError: _refused, Exception: _failed})
     app.state.session, app.state.readers = session, ThreadGroup(4, "read")
-    app.state.files = _files(static)
-    return app
-
-
-def _files(static: Path) -> dict[str, Path]:
-    """The page's files by name: what is not among them is not there, whatever its name says."""
+    # The page's files by name: what is not among them is not there, whatever its name says.
     paths = sorted(static.iterdir()) if static.is_dir() else []
-    return {path.name: path for path in paths if path.is_file() and path.suffix in _KINDS}
+    app.state.files = {path.name: path for path in paths if path.is_file() and path.suffix in _KINDS}
+    return app
 
 
 async def _health(request: Request) -> Response:
@@ -181,7 +177,7 @@ async def _failed(request: Request, error: Exception) -> Response:
     )
 
 
-# The WebSocket: one window of the page, its messages in order, replies as they come.
+# The WebSocket: one window of the page, its messages in order, replies as they come
 
 WINDOWS = 8
 """Windows at a time."""
@@ -294,11 +290,7 @@ async def _receive(connection: WebSocket, session: Session, window: ClientWindow
                 window.send(Bye(reason="this window sends messages that are none: reload it"))
             continue
         if isinstance(request, Edit | Undo | Redo) and not bucket.take():
-            window.send(_too_fast(request.id))
+            sentence = f"more than {EDITS_A_SECOND:g} edits a second came from this window"
+            window.send(Refused(id=request.id, code="rate", sentence=sentence, mend="send it again in a second"))
             continue
         await session.handle(window, request)
-
-
-def _too_fast(name: str) -> Reply:
-    sentence = f"more than {EDITS_A_SECOND:g} edits a second came from this window"
-    return Refused(id=name, code="rate", sentence=sentence, mend="send it again in a second")

@@ -1,4 +1,4 @@
-"""The gate before all routes: refusals, limits of size, and the headers that every answer carries."""
+"""The gate before all routes: who may speak to the studio, limits of size, and the headers of every answer."""
 
 import secrets
 import time
@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlencode
 
 from starlette.exceptions import HTTPException
 
-# Who may speak to the studio: the rules for Host, Origin and Sec-Fetch-Site, tokens and cookies.
+# The rules for Host, Origin and Sec-Fetch-Site, tokens and cookies
 
 HOSTS = frozenset({"127.0.0.1", "localhost", "[::1]"})
 SAME_SITE = frozenset({"same-origin", "none"})

@@ -5,7 +5,6 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +25,8 @@ from farfield.studio.showing.rows import annotated_rows, frame_info
 
 Centres = Callable[[int], Sequence[tuple[int, float, float, float]]]
 """Track number and centre of each box of a frame that has one."""
+_FACTS = ("conditions_from", "boxes", "pair_dt_ms", "camera_dt_ms", "intensity_scale")
+"""Of a frame's metadata: cheap to read, and without a path."""
 Rows = Callable[[int], tuple[BoxRow, ...]]
 
 
@@ -69,9 +70,10 @@ class FrameCache:
         """All that a frame shows."""
         frame = self.opened.frame(index)
         layers, notes = self.opened.layers(index, sweeps)
+        facts = {name: str(frame.metadata[name]) for name in _FACTS if name in frame.metadata}
         boxes = self.boxes(index)
         return FrameState(
-            frame=frame_info(frame, index, simulated=self.simulated, extra=_facts(frame.metadata)),
+            frame=frame_info(frame, index, simulated=self.simulated, extra=facts),
             layers=layers,
             boxes=boxes,
             predicted=self.predicted(index, boxes, threshold),
@@ -129,12 +131,6 @@ def _centres(boxes: Boxes | None) -> list[tuple[int, float, float, float]]:
         return []
     rows = zip(boxes.track_id.tolist(), boxes.centre_m.tolist(), strict=True)
     return [(track, x, y, z) for track, (x, y, z) in rows]
-
-
-def _facts(metadata: Any) -> dict[str, str]:
-    """Facts for people that are cheap to read and hold no path."""
-    names = ("conditions_from", "boxes", "pair_dt_ms", "camera_dt_ms", "intensity_scale")
-    return {name: str(metadata[name]) for name in names if name in metadata}
 
 
 def first_of(text: str, data: Dataset) -> int:

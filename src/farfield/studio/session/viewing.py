@@ -1,4 +1,4 @@
-"""What windows that look ask for: the welcome, frames, bookmarks, boxes that others drag."""
+"""What windows that look ask for: the welcome, frames, bookmarks, boxes that others drag, frames worth a look."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -105,7 +105,7 @@ async def bookmark(session: Session, window: ClientWindow, request: requests.Boo
     session.broadcast(Bookmarks(rows=bookmarks.rows()))
 
 
-# Which frames are worth a look: where a set of predictions misses boxes, or finds what is not there.
+# Frames in which a set of predictions misses boxes, or has false ones
 
 _AT_ONCE = 20
 """Frames of a part: few, so that marks appear soon and a thread is free for what a person waits for."""

@@ -1,4 +1,9 @@
-"""What there is to show of a frame, known without reading clouds or pictures, each numbered by its place."""
+"""What there is to show of a frame, without reading clouds or pictures, and pictures as the browser takes them.
+
+A picture is the file's own bytes where it is one picture of few bytes, else a JPEG: a PNG of a camera takes four to ten
+times the bytes of a JPEG that nobody can tell from it at the size in which it is shown; over a link of 20 Mbit/s one of
+1 MB takes 0.4 s. Its own bytes are sent where they are asked for.
+"""
 
 import io
 from collections.abc import Iterator
@@ -114,10 +119,7 @@ def relative(path: Path, root: Path) -> str:
         return path.name
 
 
-# A camera's picture as the browser takes it: the file's own bytes where it is one picture of few bytes, else a JPEG.
-#
-# A PNG of a camera takes four to ten times the bytes of a JPEG that nobody can tell from it at the size in which it is
-# shown; over a link of 20 Mbit/s one of 1 MB takes 0.4 s. Its own bytes are sent where they are asked for.
+# Pictures
 
 _MAX_BYTES = 64 << 20
 _LARGE_BYTES = 200_000

@@ -1,4 +1,11 @@
-"""Sets of predicted boxes: read from files or made by a detector here, matched with the truth when they are shown."""
+"""Sets of predicted boxes, read from files or made by a detector here, and matched with the truth when they are shown.
+
+A frame is matched as the protocol does that scores it. By centre distance (dds, nuscenes): predictions take turns by
+falling score, each takes the nearest free box within the distance at which errors are taken, 2 m unless set. By overlap
+(kradar and its variants, kitti): annotated boxes choose in their order the free prediction that overlaps most in space
+and more than the least overlap, as at the lowest score threshold. What the protocol leaves out (another class, outside
+its region) is neither right nor wrong.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +28,7 @@ from farfield.metrics.kitti.settings import KittiSettings
 from farfield.metrics.kradar.frames import gather_kradar
 from farfield.metrics.kradar.settings import KRadarSettings
 from farfield.metrics.reading import read_predictions
-from farfield.studio.messages.rows import BoxRow, Match, PredictedFrame, PredictedRow, PredictionSet
+from farfield.studio.messages.rows import BoxRow, Match, PredictedFrame, PredictionSet
 from farfield.studio.showing.rows import boxes_of, predicted_rows
 
 UNSEEN, FALSE, MATCHED, IGNORED = 0, 1, 2, 3
@@ -63,11 +70,10 @@ class Predictions:
             self.about.protocol, boxes, Annotation(boxes=boxes_of(annotated)), key=key, reference=reference
         )
         rows = [
-            _with_match(
+            replace(
                 row,
-                "unknown" if matching.note or not annotated else _WORDS.get(verdict, "false"),
-                annotated_row,
-                annotated,
+                match="unknown" if matching.note or not annotated else _WORDS.get(verdict, "false"),
+                truth=annotated[annotated_row].id if annotated_row >= 0 else None,
             )
             for row, verdict, annotated_row in zip(
                 predicted_rows(boxes), matching.verdict.tolist(), matching.truth.tolist(), strict=True
@@ -79,10 +85,6 @@ class Predictions:
             missed=tuple(row.id for row, missed in zip(annotated, matching.missed, strict=True) if missed),
             ignored=tuple(row.id for row, counts in zip(annotated, matching.counts, strict=True) if not counts),
         )
-
-
-def _with_match(row: PredictedRow, match: Match, annotated_row: int, annotated: Sequence[BoxRow]) -> PredictedRow:
-    return replace(row, match=match, truth=annotated[annotated_row].id if annotated_row >= 0 else None)
 
 
 def read_set(path: Path, data: Dataset, *, format: str, protocol: str, number: int) -> Predictions:
@@ -142,12 +144,7 @@ def colour(number: int) -> str:
     return _COLOURS[number % len(_COLOURS)]
 
 
-# Which predictions of one frame are right, by the matching of the protocol that scores them.
-#
-# By centre distance (dds, nuscenes): predictions take turns by falling score, each takes the nearest free box within
-# the distance at which errors are taken, 2 m unless set. By overlap (kradar and its variants, kitti): annotated boxes
-# choose in their order the free prediction that overlaps most in space and more than the least overlap, as at the
-# lowest score threshold. What the protocol leaves out (another class, outside its region) is neither right nor wrong.
+# Matching
 
 
 @dataclass(frozen=True, eq=False)
