@@ -63,7 +63,7 @@ def test_a_save_that_was_interrupted_is_finished(tmp_path: Path, monkeypatch: py
         _moved(store, "e1")
         state = state_bytes(store)
         with monkeypatch.context() as patch:
-            patch.setattr(saving, "_put", _fails)
+            patch.setattr(saving, "_write_or_remove", _fails)
             with pytest.raises(OSError, match="no more"):
                 save_in_place(store, ANN, "s1")
     with opened(tmp_path) as store:
