@@ -17,27 +17,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.annotation.fitting.ends import ends_of
-from farfield.annotation.fitting.ends import place_rectangle
-from farfield.annotation.fitting.ground import Ground
-from farfield.annotation.fitting.ground import fit_ground
-from farfield.annotation.fitting.ground import points_above
-from farfield.annotation.fitting.ground import points_near
-from farfield.annotation.fitting.prior import Box
-from farfield.annotation.fitting.prior import BoxFit
-from farfield.annotation.fitting.prior import FitCandidate
-from farfield.annotation.fitting.prior import HeadingFrom
-from farfield.annotation.fitting.prior import Prior
-from farfield.annotation.fitting.prior import along_length
-from farfield.annotation.fitting.prior import axes
-from farfield.annotation.fitting.prior import boxes_of
-from farfield.annotation.fitting.prior import footprint
-from farfield.annotation.fitting.search import CLOSENESS_BELOW
-from farfield.annotation.fitting.search import best_yaw
-from farfield.annotation.fitting.search import refine_yaw
-from farfield.annotation.fitting.search import search
-from farfield.geometry.boxes import inside_box
-from farfield.geometry.boxes import wrap_angle_rad
+from farfield.annotation.fitting.ends import ends_of, place_rectangle
+from farfield.annotation.fitting.ground import Ground, fit_ground, points_above, points_near
+from farfield.annotation.fitting.prior import (
+    Box,
+    BoxFit,
+    FitCandidate,
+    HeadingFrom,
+    Prior,
+    along_length,
+    axes,
+    boxes_of,
+    footprint,
+)
+from farfield.annotation.fitting.search import CLOSENESS_BELOW, best_yaw, refine_yaw, search
+from farfield.geometry.boxes import inside_box, wrap_angle_rad
 
 XY = Sequence[float] | Float[np.ndarray, " 2"]
 

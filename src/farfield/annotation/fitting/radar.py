@@ -8,13 +8,9 @@ from jaxtyping import Float
 
 from farfield.annotation.fitting.boxes import choose_heading
 from farfield.annotation.fitting.ground import fit_ground
-from farfield.annotation.fitting.prior import BoxFit
-from farfield.annotation.fitting.prior import Prior
-from farfield.annotation.fitting.prior import boxes_of
-from farfield.geometry.boxes import count_points_in_boxes
-from farfield.geometry.boxes import wrap_angle_rad
-from farfield.radar.axes import KRADAR_AXES
-from farfield.radar.axes import RadarAxes
+from farfield.annotation.fitting.prior import BoxFit, Prior, boxes_of
+from farfield.geometry.boxes import count_points_in_boxes, wrap_angle_rad
+from farfield.radar.axes import KRADAR_AXES, RadarAxes
 
 
 def fit_radar_peak(

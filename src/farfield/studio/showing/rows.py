@@ -10,13 +10,8 @@ from farfield.annotation.annotator import box_numbers
 from farfield.annotation.schema import ClassPreset, cirrus_class, class_preset
 from farfield.annotation.surroundings import cloud_name
 from farfield.frame import Annotation, Boxes, Frame
-from farfield.geometry.boxes import BOX_MARGIN_M
-from farfield.geometry.boxes import count_points_in_boxes
-from farfield.studio.messages.rows import BoxRow
-from farfield.studio.messages.rows import ClassSpec
-from farfield.studio.messages.rows import FrameInfo
-from farfield.studio.messages.rows import PredictedRow
-from farfield.studio.messages.rows import TypeSpec
+from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes
+from farfield.studio.messages.rows import BoxRow, ClassSpec, FrameInfo, PredictedRow, TypeSpec
 from farfield.studio.showing.layers import matrix
 from farfield.vocabulary.classes import CLASS_COLOURS
 
