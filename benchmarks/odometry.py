@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from farfield.datasets import open_dataset
 from farfield.odometry.drift import differences, way_m
-from farfield.odometry.drives import DriveSweeps, OdometryTrack, SweepSettings, Turning, odometry, place
+from farfield.odometry.drives import DriveSweeps, OdometryTrack, SweepSettings, Turning, odometry, register_sweeps
 from farfield.odometry.odometry import OdometrySettings
 
 CLOUDS = {"cirrus-sim": ("gaussian", "uniform"), "kradar-sim": ("os2-64",)}
@@ -41,9 +41,9 @@ def timed(sweeps: DriveSweeps) -> tuple[float, float]:
     began = time.process_time()
     middle = [sweeps[len(sweeps) // 2 + number] for number in range(TIMED)]
     read = time.process_time()
-    place(middle[:5])
+    register_sweeps(middle[:5])
     started = time.process_time()
-    place(middle)  # begins like the five
+    register_sweeps(middle)  # begins like the five
     done = time.process_time()
     return 1e3 * (done - started - (started - read)) / (len(middle) - 5), 1e3 * (read - began) / len(middle)
 
@@ -91,8 +91,8 @@ def kitti() -> list[str]:
     turnings: tuple[Turning, ...] = ("no", "clockwise", "counterclockwise")
     for turning in turnings:
         settings = SweepSettings(turning=turning, step_s=0.1036)
-        forward = place(DriveSweeps(data, drive, settings), OdometrySettings())
-        back = place(DriveSweeps(data, drive, settings, backward=True), OdometrySettings())
+        forward = register_sweeps(DriveSweeps(data, drive, settings), OdometrySettings())
+        back = register_sweeps(DriveSweeps(data, drive, settings, backward=True), OdometrySettings())
         tracks = (forward.world_T_sensor, np.linalg.inv(back.world_T_sensor[-1]) @ back.world_T_sensor[::-1])
         steps = ["  ".join(f"{step:.3f}" for step in np.diff(way_m(track))) for track in tracks]
         off = np.linalg.inv(tracks[0][-1]) @ tracks[1][-1]

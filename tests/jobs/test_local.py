@@ -151,13 +151,13 @@ def test_one_thread_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_memory_limits_the_workers(tmp_path: Path) -> None:
-    assert fitting(8, 10**9, asked=False, available=3 * 10**9) == 3
-    assert fitting(8, 10**9, asked=False, available=10**8) == 1
-    assert fitting(8, 0, asked=True, available=10**8) == 8
+    assert fitting(8, 10**9, exactly=False, available=3 * 10**9) == 3
+    assert fitting(8, 10**9, exactly=False, available=10**8) == 1
+    assert fitting(8, 0, exactly=True, available=10**8) == 8
     with pytest.raises(BulkError, match="--workers 3 fits"):
-        fitting(8, 10**9, asked=True, available=3 * 10**9)
+        fitting(8, 10**9, exactly=True, available=3 * 10**9)
     with pytest.raises(BulkError, match="Close other programs"):
-        fitting(2, 10**9, asked=True, available=10**8)
+        fitting(2, 10**9, exactly=True, available=10**8)
     for name, text in (("max", "1000000"), ("current", "600000"), ("stat", "anon 1\ninactive_file 100000\n")):
         (tmp_path / f"memory.{name}").write_text(text)
     assert available_bytes(tmp_path) == 500_000

@@ -10,9 +10,9 @@ from blocks_of_houses import drive
 
 from farfield.geometry.poses import exponential, logarithm
 from farfield.odometry.drift import differences, drift_of
-from farfield.odometry.drives import place
+from farfield.odometry.drives import register_sweeps
 from farfield.odometry.odometry import OdometrySweep
-from farfield.odometry.surface_map import SurfaceMap, smallest_axis, thinned
+from farfield.odometry.surface_map import SurfaceMap, smallest_axis, voxel_rows
 
 
 def _errors(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
@@ -24,7 +24,7 @@ def _errors(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
 
 def test_a_known_motion_is_found_from_its_start() -> None:
     sweeps, true = drive(10)
-    placed = place(sweeps)
+    placed = register_sweeps(sweeps)
     place_m, turn_deg = _errors(placed.world_T_sensor, true)
     assert place_m < 0.05
     assert turn_deg < 0.15
@@ -32,14 +32,14 @@ def test_a_known_motion_is_found_from_its_start() -> None:
     assert not placed.lost.any()
     assert not any(placed.blind)
     # Backwards the same motion is found.
-    back = place(sweeps[::-1]).world_T_sensor[::-1]
+    back = register_sweeps(sweeps[::-1]).world_T_sensor[::-1]
     assert _errors(np.linalg.inv(back[0]) @ back, true)[0] < 0.06
 
 
 def test_points_are_moved_to_the_sweeps_moment_where_their_times_are_known() -> None:
     sweeps, true = drive(8, skewed=True)
-    kept = _errors(place(sweeps).world_T_sensor, true)
-    left = _errors(place([replace(sweep, offset_s=None) for sweep in sweeps]).world_T_sensor, true)
+    kept = _errors(register_sweeps(sweeps).world_T_sensor, true)
+    left = _errors(register_sweeps([replace(sweep, offset_s=None) for sweep in sweeps]).world_T_sensor, true)
     assert kept[0] < 0.05
     assert kept[0] < left[0] / 2
 
@@ -53,7 +53,7 @@ def test_a_corridor_is_named_as_not_observable_along_it() -> None:
         z = np.where(wall < 2, rng.uniform(-1.7, 2.3, 8000), np.where(wall == 2, -1.7, 2.3))
         points = np.column_stack([60 * np.sign(u) * u**2, y, z]) + rng.normal(0, 0.02, (8000, 3))
         sweeps.append(OdometrySweep(points, 0.1 * number))
-    placed = place(sweeps)
+    placed = register_sweeps(sweeps)
     assert placed.blind == ("", *["x"] * 4)
     assert np.abs(placed.world_T_sensor[:, 1:3, 3]).max() < 0.02  # across it is observed
     assert np.abs(placed.world_T_sensor[:, 0, 3]).max() < 0.01  # along it nothing is made up
@@ -62,19 +62,19 @@ def test_a_corridor_is_named_as_not_observable_along_it() -> None:
 def test_empty_sweeps_are_lost_and_others_go_on() -> None:
     sweeps, true = drive(9)
     sweeps[4] = replace(sweeps[4], points_m=np.zeros((0, 3)))
-    placed = place(sweeps)
+    placed = register_sweeps(sweeps)
     assert placed.lost.tolist() == [number == 4 for number in range(9)]
     assert _errors(placed.world_T_sensor, true)[0] < 0.1
-    nothing = place([OdometrySweep(np.zeros((0, 3)), 0.1 * number) for number in range(3)])
+    nothing = register_sweeps([OdometrySweep(np.zeros((0, 3)), 0.1 * number) for number in range(3)])
     assert nothing.lost.tolist() == [False, True, True]
-    assert len(place([])) == 0
-    np.testing.assert_array_equal(place(sweeps[:1]).world_T_sensor, np.eye(4)[None])
+    assert len(register_sweeps([])) == 0
+    np.testing.assert_array_equal(register_sweeps(sweeps[:1]).world_T_sensor, np.eye(4)[None])
 
 
 def test_after_a_pause_a_new_map_begins() -> None:
     sweeps, _ = drive(6)
     late = [*sweeps[:3], *(replace(sweep, time_s=sweep.time_s + 30) for sweep in sweeps[3:])]
-    assert place(late).begins.tolist() == [True, False, False, True, False, False]
+    assert register_sweeps(late).begins.tolist() == [True, False, False, True, False, False]
 
 
 class _Interrupted:
@@ -94,20 +94,20 @@ class _Interrupted:
 
 def test_an_interrupted_drive_goes_on_to_the_same_numbers(tmp_path: Path) -> None:
     sweeps, _ = drive(9)
-    whole = place(sweeps)
+    whole = register_sweeps(sweeps)
     saved = tmp_path / "state.npz"
     with pytest.raises(KeyboardInterrupt):
-        place(_Interrupted(sweeps, 7), saved=saved, mark="one", every=3)
+        register_sweeps(_Interrupted(sweeps, 7), saved=saved, mark="one", every=3)
     assert saved.is_file()
     read = _Interrupted(sweeps, 5)  # sweeps before the saved one are not read again
-    resumed = place(read, saved=saved, mark="one", every=3)
+    resumed = register_sweeps(read, saved=saved, mark="one", every=3)
     for name in ("world_T_sensor", "matched", "residual_m", "information", "lost", "begins"):
         np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name))
     with pytest.raises(KeyboardInterrupt):  # of another setting, it is not taken up
-        place(read, saved=saved, mark="another", every=100)
+        register_sweeps(read, saved=saved, mark="another", every=100)
     saved.write_bytes(saved.read_bytes()[:500])  # nor where it is damaged
     with pytest.raises(KeyboardInterrupt):
-        place(read, saved=saved, mark="one", every=100)
+        register_sweeps(read, saved=saved, mark="one", every=100)
 
 
 def test_the_smallest_axis_is_that_of_an_eigendecomposition() -> None:
@@ -126,7 +126,7 @@ def test_the_smallest_axis_is_that_of_an_eigendecomposition() -> None:
 def test_a_map_keeps_a_point_a_voxel_and_forgets_what_is_far() -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform(-20, 20, (5000, 3)) * (1, 1, 0)
-    rows = thinned(points, 2.0)
+    rows = voxel_rows(points, 2.0)
     cells = np.unique(np.floor(points / 2.0), axis=0)
     assert len(rows) <= len(cells)
     assert len(rows) > 0.99 * len(cells)

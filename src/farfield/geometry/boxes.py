@@ -100,8 +100,8 @@ class Boxes:
         if dtype is np.int64 and given.size and given.dtype.kind not in "iu":
             raise ValueError(f"Boxes.{name}: expected whole numbers, got dtype {given.dtype}")
         array = given.astype(dtype, copy=False)
-        if array.dtype.kind == "f" and not (sound := np.isfinite(array) | (nan & np.isnan(array))).all():
-            row = int(np.argwhere(~sound)[0][0])
+        if array.dtype.kind == "f" and not (valid := np.isfinite(array) | (nan & np.isnan(array))).all():
+            row = int(np.argwhere(~valid)[0][0])
             kind = "finite numbers or NaN" if nan else "finite numbers"
             raise ValueError(f"Boxes.{name}: expected {kind}, got {array[row]} in row {row}")
         object.__setattr__(self, name, array)
@@ -127,8 +127,8 @@ class Boxes:
             return parts[0] if parts else cls.empty()
         joined: dict[str, Any] = {}
         for field in fields(cls):
-            each = [getattr(part, field.name) for part in filled]
-            values: list[Any] = list(_alike(each, filled)) if field.name == "velocity_m_s" else each
+            columns = [getattr(part, field.name) for part in filled]
+            values: list[Any] = list(_alike(columns, filled)) if field.name == "velocity_m_s" else columns
             missing = [value is None for value in values]
             if any(missing) and not all(missing):
                 raise ValueError(f"Boxes.concatenate: {field.name} is present in some parts and absent in others")
@@ -322,13 +322,13 @@ def points_in_boxes(
         One sorted index array a box. A point may be in several boxes.
     """
     x, y = np.ascontiguousarray(points_m[:, 0]), points_m[:, 1]
-    reach = np.hypot(*(boxes.size_m[:, :2].T / 2 + margin_m)) * (1 + 1e-6) + 1e-3  # also covers float32 rounding
-    found = []
+    radius_m = np.hypot(*(boxes.size_m[:, :2].T / 2 + margin_m)) * (1 + 1e-6) + 1e-3  # also covers float32 rounding
+    rows = []
     for index, (centre_x, centre_y) in enumerate(boxes.centre_m[:, :2]):
-        near = np.flatnonzero(np.abs(x - centre_x) <= reach[index])  # cheap, and leaves few
-        near = near[np.abs(y[near] - centre_y) <= reach[index]]
-        found.append(near[inside_box(points_m[near], boxes, index, margin_m=margin_m)])
-    return found
+        near = np.flatnonzero(np.abs(x - centre_x) <= radius_m[index])  # cheap, and leaves few
+        near = near[np.abs(y[near] - centre_y) <= radius_m[index]]
+        rows.append(near[inside_box(points_m[near], boxes, index, margin_m=margin_m)])
+    return rows
 
 
 def count_points_in_boxes(

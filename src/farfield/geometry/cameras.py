@@ -103,8 +103,8 @@ def undistort(
             guess[:, 1] -= (xx * error[:, 1] - yx * error[:, 0]) / determinant
         residual = np.abs(distort(guess, distortion) - distorted).max(axis=1, initial=0.0)
         tolerance = 1e-12 * np.maximum(1.0, np.abs(distorted).max(axis=1, initial=0.0))
-        good = (residual < tolerance) & _within_fold(guess, distortion)
-    guess[~good] = np.nan
+        has_inverse = (residual < tolerance) & _within_fold(guess, distortion)
+    guess[~has_inverse] = np.nan
     return guess
 
 
@@ -158,7 +158,7 @@ def image_boxes(boxes: Boxes, camera: Camera) -> tuple[Float[np.ndarray, "n 4"],
     limit = np.array([camera.width_px or np.inf, camera.height_px or np.inf]) - 1
     low_cut, high_cut = np.clip(low, 0, limit), np.clip(high, 0, limit)
     area, cut = np.prod(high - low, axis=1), np.prod(high_cut - low_cut, axis=1)
-    seen = ahead & (cut > 0)
-    box_px = np.where(seen[:, None], np.column_stack([low_cut, high_cut]), -1.0)
-    truncation = np.where(seen, 1 - cut / np.maximum(area, 1e-9), 1.0)
+    visible = ahead & (cut > 0)
+    box_px = np.where(visible[:, None], np.column_stack([low_cut, high_cut]), -1.0)
+    truncation = np.where(visible, 1 - cut / np.maximum(area, 1e-9), 1.0)
     return box_px, np.clip(truncation, 0.0, 1.0)

@@ -54,9 +54,9 @@ class PoseTrack:
         Raises:
             ConfigError: If a moment lies farther out.
         """
-        known = self.covers(times_ns)
-        if not known.all():
-            worst = int(times_ns[~known][0])
+        covered = self.covers(times_ns)
+        if not covered.all():
+            worst = int(times_ns[~covered][0])
             raise ConfigError(
                 f"PoseTrack: expected a time within half an interval of {int(self.times_ns[0])} to "
                 f"{int(self.times_ns[-1])} ns, got {worst} ns"
@@ -109,16 +109,16 @@ def deskew(
     """
     columns, which = np.unique(point_times_ns, return_inverse=True)  # a scanner fires many rays at once
     ref_T_world = np.linalg.inv(track.at(np.array([reference_ns], dtype=np.int64))[0])
-    known = track.covers(columns)
+    covered = track.covers(columns)
     ref_T_column = np.broadcast_to(np.eye(4), (len(columns), 4, 4)).copy()
-    if known.any():
-        ref_T_column[known] = ref_T_world @ track.at(columns[known])
+    if covered.any():
+        ref_T_column[covered] = ref_T_world @ track.at(columns[covered])
     moved = np.empty((len(points_m), 3), dtype=np.float64)
     for begin in range(0, len(points_m), 1 << 16):  # bounds the matrices that are gathered
         part = slice(begin, begin + (1 << 16))
         matrix = ref_T_column[which[part]]
         moved[part] = np.einsum("nij,nj->ni", matrix[:, :3, :3], points_m[part]) + matrix[:, :3, 3]
-    return DeskewedSweep(moved.astype(points_m.dtype), int((~known)[which].sum()))
+    return DeskewedSweep(moved.astype(points_m.dtype), int((~covered)[which].sum()))
 
 
 def deskew_boxes(
@@ -154,10 +154,10 @@ def deskew_boxes(
     longest_s = float(np.abs(later_s).max(initial=0.0))
     for row in np.flatnonzero(np.isfinite(boxes.velocity_m_s).all(axis=1)):
         velocity = np.append(boxes.velocity_m_s[row], 0.0)[:3]
-        reach = np.linalg.norm(boxes.size_m[row]) / 2 + 2 * margin_m + np.linalg.norm(velocity) * longest_s
-        near = np.flatnonzero((np.abs(points_m - boxes.centre_m[row]) <= reach).all(axis=1))
+        radius_m = np.linalg.norm(boxes.size_m[row]) / 2 + 2 * margin_m + np.linalg.norm(velocity) * longest_s
+        near = np.flatnonzero((np.abs(points_m - boxes.centre_m[row]) <= radius_m).all(axis=1))
         back = points_m[near] - later_s[near, None] * velocity
         away = np.linalg.norm(back - boxes.centre_m[row], axis=1)
-        taken = inside_box(back, boxes, int(row), margin_m=margin_m) & (away < nearest[near])
-        moved[near[taken]], nearest[near[taken]] = back[taken], away[taken]
+        inside = inside_box(back, boxes, int(row), margin_m=margin_m) & (away < nearest[near])
+        moved[near[inside]], nearest[near[inside]] = back[inside], away[inside]
     return moved.astype(points_m.dtype)

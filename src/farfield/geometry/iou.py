@@ -98,18 +98,18 @@ def paired_iou(a: Boxes, b: Boxes, *, kind: str = "3d") -> Float[np.ndarray, " n
         part = slice(start, start + _CHUNK)
         rows_a = np.column_stack([a.centre_m[part], a.size_m[part], a.yaw_rad[part]])
         rows_b = np.column_stack([b.centre_m[part], b.size_m[part], b.yaw_rad[part]])
-        iou[part] = _paired_chunk(rows_a, rows_b, flat=kind == "bev")
+        iou[part] = _paired_chunk(rows_a, rows_b, bev=kind == "bev")
     return iou
 
 
-def _paired_chunk(a: Float[np.ndarray, "n 7"], b: Float[np.ndarray, "n 7"], *, flat: bool) -> Float[np.ndarray, " n"]:
+def _paired_chunk(a: Float[np.ndarray, "n 7"], b: Float[np.ndarray, "n 7"], *, bev: bool) -> Float[np.ndarray, " n"]:
     """IoU of boxes as x, y, z, length, width, height, yaw; pairs that cannot meet are left out of the clipping."""
     iou = np.zeros(len(a))
-    reach = (np.hypot(a[:, 3], a[:, 4]) + np.hypot(b[:, 3], b[:, 4])) / 2
+    radius_m = (np.hypot(a[:, 3], a[:, 4]) + np.hypot(b[:, 3], b[:, 4])) / 2
     top = np.minimum(a[:, 2] + a[:, 5] / 2, b[:, 2] + b[:, 5] / 2)
     bottom = np.maximum(a[:, 2] - a[:, 5] / 2, b[:, 2] - b[:, 5] / 2)
-    near = np.hypot(a[:, 0] - b[:, 0], a[:, 1] - b[:, 1]) < reach
-    if not flat:
+    near = np.hypot(a[:, 0] - b[:, 0], a[:, 1] - b[:, 1]) < radius_m
+    if not bev:
         near &= top > bottom
     if not near.any():
         return iou
@@ -117,7 +117,7 @@ def _paired_chunk(a: Float[np.ndarray, "n 7"], b: Float[np.ndarray, "n 7"], *, f
         a, b, top, bottom = a[near], b[near], top[near], bottom[near]
     shared = bev_intersection_m2(a[:, _BEV], b[:, _BEV])
     measure_a, measure_b = a[:, 3] * a[:, 4], b[:, 3] * b[:, 4]
-    if not flat:
+    if not bev:
         # A height difference of boxes at z of 100 m may round above the lower height itself.
         shared = shared * np.minimum(top - bottom, np.minimum(a[:, 5], b[:, 5]))
         measure_a, measure_b = measure_a * a[:, 5], measure_b * b[:, 5]
@@ -140,10 +140,10 @@ def pairwise_iou(a: Boxes, b: Boxes, *, kind: str = "3d") -> Float[np.ndarray, "
         IoU in [0, 1], shape (n, m).
     """
     iou = np.zeros((len(a), len(b)))
-    reach = (np.hypot(*a.size_m[:, :2].T)[:, None] + np.hypot(*b.size_m[:, :2].T)[None]) / 2
+    radius_m = (np.hypot(*a.size_m[:, :2].T)[:, None] + np.hypot(*b.size_m[:, :2].T)[None]) / 2
     gap_x = a.centre_m[:, 0, None] - b.centre_m[None, :, 0]
     gap_y = a.centre_m[:, 1, None] - b.centre_m[None, :, 1]
-    row, column = np.nonzero(gap_x**2 + gap_y**2 < reach**2)
+    row, column = np.nonzero(gap_x**2 + gap_y**2 < radius_m**2)
     if row.size:
         iou[row, column] = paired_iou(a[row], b[column], kind=kind)
     return iou

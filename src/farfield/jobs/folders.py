@@ -29,32 +29,32 @@ def locked(folder: Path, *, shared: bool) -> Iterator[None]:
     if fcntl is None:
         yield
         return
-    held = os.open(folder, os.O_RDONLY)
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(held, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             if isinstance(error, BlockingIOError):
                 raise
         yield
     finally:
-        os.close(held)
+        os.close(descriptor)
 
 
 def sweep_out(folder: Path) -> None:
     """Remove what killed workers left unfinished, unless another command writes into the same folder."""
     with contextlib.suppress(BlockingIOError), locked(folder, shared=False):
-        for here, folders, files in os.walk(folder):
+        for root, folders, files in os.walk(folder):
             for name in [name for name in folders if name.startswith(STAGING)]:
-                shutil.rmtree(Path(here, name), ignore_errors=True)
+                shutil.rmtree(Path(root, name), ignore_errors=True)
                 folders.remove(name)
             for name in files:
                 if _PARTIAL.fullmatch(name):
-                    Path(here, name).unlink(missing_ok=True)
+                    Path(root, name).unlink(missing_ok=True)
 
 
 def sweep_out_file(path: Path) -> None:
     """Remove what killed commands left of one file that they wrote."""
-    for left in path.parent.glob(f".{glob.escape(path.name[:100])}.*.part"):
-        if _PARTIAL.fullmatch(left.name):
-            left.unlink(missing_ok=True)
+    for part in path.parent.glob(f".{glob.escape(path.name[:100])}.*.part"):
+        if _PARTIAL.fullmatch(part.name):
+            part.unlink(missing_ok=True)

@@ -67,7 +67,7 @@ class JobJournal:
                 if not line.endswith(b"\n"):  # cut off by an interruption
                     break
                 try:
-                    name, entry = _parsed(line, offset)
+                    name, entry = _parse_line(line, offset)
                 except (ValueError, KeyError, TypeError, AttributeError) as error:
                     mend = "Delete it, or pass --overwrite, to begin anew."
                     raise FileFormatError(
@@ -117,8 +117,10 @@ class JobJournal:
             files: Size and checksum of each file by its name below the journal's folder.
             value: What was computed.
         """
+        head = json.dumps({"unit": unit.name, "source": source, "files": dict(sorted(files.items()))})
+        tail = "" if value is None else "\t" + json.dumps(value, separators=(",", ":"))
         with self._lock:
-            self._waiting.append((unit.name, source, files, _line(unit.name, source, files, value)))
+            self._waiting.append((unit.name, source, files, f"{head}{tail}\n".encode()))
             full = len(self._waiting) >= GROUP_UNITS
             if not full and self._timer is None:
                 self._timer = Timer(GROUP_S, self.commit)
@@ -168,13 +170,7 @@ class JobJournal:
                 yield json.loads(handle.read(length).partition(b"\t")[2] or b"null")
 
 
-def _line(name: str, source: str, files: dict[str, Mark], value: Any) -> bytes:
-    head = json.dumps({"unit": name, "source": source, "files": dict(sorted(files.items()))})
-    tail = "" if value is None else "\t" + json.dumps(value, separators=(",", ":"))
-    return f"{head}{tail}\n".encode()
-
-
-def _parsed(line: bytes, offset: int) -> tuple[str, _JournalEntry]:
+def _parse_line(line: bytes, offset: int) -> tuple[str, _JournalEntry]:
     entry = json.loads(line.partition(b"\t")[0])
     files = {str(path): (int(size), int(crc)) for path, (size, crc) in entry["files"].items()}
     outside = [path for path in files if ".." in PurePosixPath(path).parts or PurePosixPath(path).is_absolute()]

@@ -33,38 +33,34 @@ class LocalEngine:
     ) -> Iterator[tuple[int, UnitResult | FailedTask]]:
         """See :class:`~farfield.jobs.units.JobEngine`."""
         if workers <= 1 and not alone(work):
-            yield from _here(work, units)
+            with one_thread():
+                for index, unit in enumerate(units):
+                    yield index, work(unit)
             return
-        crew = _WorkerPool(_packed(work), units, workers, alone=alone(work))
-        whole = False
+        pool = _WorkerPool(_packed(work), units, workers, alone=alone(work))
+        completed = False
         try:
-            crew.start()
-            yield from crew.in_order() if ordered else crew.as_done()
-            whole = True
+            pool.start()
+            yield from pool.in_order() if ordered else pool.as_done()
+            completed = True
         finally:
-            crew.stop(whole=whole)
-
-
-def _here(work: JobWork, units: Sequence[Unit]) -> Iterator[tuple[int, UnitResult]]:
-    with one_thread():
-        for index, unit in enumerate(units):
-            yield index, work(unit)
+            pool.stop(completed=completed)
 
 
 def _packed(work: JobWork) -> bytes:
     try:
-        packed = pickle.dumps(work)
+        pickled = pickle.dumps(work)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
         raise BulkError(
             f"several workers: expected work that can be sent to another process, got {type(work).__name__} ({error}). "
             "Put its functions and classes into a module, or take one worker."
         ) from error
-    if b"__main__" in packed and "__main__" in _words(packed):
+    if b"__main__" in pickled and "__main__" in _words(pickled):
         raise BulkError(
             "several workers: expected work whose functions and classes stand in a module, got some of the script or "
             "notebook itself, which other processes do not see. Move them into a module, or take one worker."
         )
-    return packed
+    return pickled
 
 
 def _words(packed: bytes) -> set[str]:
@@ -82,28 +78,28 @@ class _WorkerPool:
         self.next, self.lock, self.stopping = 0, Lock(), Event()
         self.room = Semaphore(_AHEAD * workers)
         self.results: SimpleQueue[tuple[int, Any]] = SimpleQueue()
-        self.hands = [_WorkerThread(self) for _ in range(min(workers, len(units)))]
+        self.workers = [_WorkerThread(self) for _ in range(min(workers, len(units)))]
 
     def start(self) -> None:
-        for hand in self.hands:
-            hand.start()
+        for worker in self.workers:
+            worker.start()
 
     def take(self) -> list[Place]:
         """The next units for one worker: one, or a few of one group; none when there are no more."""
-        taken: list[Place] = []
-        while len(taken) < _GROUP:
-            if not self.room.acquire(blocking=not taken):  # who has a unit in hand waits for nobody
+        units: list[Place] = []
+        while len(units) < _GROUP:
+            if not self.room.acquire(blocking=not units):  # who has a unit in hand waits for nobody
                 break
             with self.lock:
                 unit = self.units[self.next] if self.next < len(self.units) and not self.stopping.is_set() else None
-                if unit is None or (taken and (not unit.group or unit.group != taken[0][1].group)):
+                if unit is None or (units and (not unit.group or unit.group != units[0][1].group)):
                     self.room.release()
                     break
-                taken.append((self.next, unit))
+                units.append((self.next, unit))
                 self.next += 1
             if not unit.group:
                 break
-        return taken
+        return units
 
     def as_done(self) -> Iterator[tuple[int, UnitResult | FailedTask]]:
         for _ in range(len(self.units)):
@@ -115,8 +111,8 @@ class _WorkerPool:
         early: dict[int, Any] = {}
         for index in range(len(self.units)):
             while index not in early:
-                place, result = self._get()
-                early[place] = result
+                done_index, result = self._get()
+                early[done_index] = result
             self.room.release()
             yield index, early.pop(index)
 
@@ -126,76 +122,76 @@ class _WorkerPool:
             raise result
         return index, result
 
-    def stop(self, *, whole: bool) -> None:
+    def stop(self, *, completed: bool) -> None:
         """End all workers and wait for them; unless the work is whole, they leave what they are at."""
         self.stopping.set()
-        for hand in self.hands:
+        for worker in self.workers:
             self.room.release()
-            if not whole:
-                hand.end()
-        for hand in self.hands:
-            hand.join(_PATIENCE_S)
-            hand.kill()
-            hand.join()
+            if not completed:
+                worker.end()
+        for worker in self.workers:
+            worker.join(_PATIENCE_S)
+            worker.kill()
+            worker.join()
 
 
 class _WorkerThread(Thread):
     """A thread that feeds one worker process, and starts another when it dies."""
 
-    def __init__(self, crew: _WorkerPool) -> None:
+    def __init__(self, pool: _WorkerPool) -> None:
         super().__init__(daemon=True, name="farfield-bulk")
-        self.crew = crew
+        self.pool = pool
         self.process: subprocess.Popen[bytes] | None = None
 
     def run(self) -> None:
         """Take units until there are no more."""
         try:
-            while taken := self.crew.take():
-                for index, unit in taken:
-                    if self.crew.stopping.is_set():
+            while units := self.pool.take():
+                for index, unit in units:
+                    if self.pool.stopping.is_set():
                         return
-                    self.crew.results.put((index, self._do(unit)))
+                    self.pool.results.put((index, self._do(unit)))
         except BaseException as error:  # noqa: BLE001 - raised where the results are read
-            self.crew.results.put((-1, error))
+            self.pool.results.put((-1, error))
         finally:
             if self.process is not None:
                 self._ended()
 
     def _do(self, unit: Unit) -> Any:
-        why = ""
+        reason = ""
         for _ in range(2):
             process = self.process or self._begin()
             try:
                 send(process.stdin, unit)
                 kind, result = receive(process.stdout)
             except (EOFError, OSError):
-                why = self._ended()
-                if self.crew.stopping.is_set():
-                    return FailedTask(why)
+                reason = self._ended()
+                if self.pool.stopping.is_set():
+                    return FailedTask(reason)
                 continue
-            if self.crew.alone:
+            if self.pool.alone:
                 self._ended()
             return result if kind == "done" else _rebuilt(result)
-        return FailedTask(why)
+        return FailedTask(reason)
 
     def _begin(self) -> "subprocess.Popen[bytes]":
         """Start a worker and give it the work; one that dies on the way is started once more."""
-        why = ""
+        reason = ""
         for _ in range(2):
-            with self.crew.lock:
-                if self.crew.stopping.is_set():
+            with self.pool.lock:
+                if self.pool.stopping.is_set():
                     raise OSError("the work is over")
                 self.process = process = _start()
             try:
-                send(process.stdin, self.crew.work, packed=True)
+                send(process.stdin, self.pool.work, packed=True)
                 kind, result = receive(process.stdout)
             except (EOFError, OSError):
-                why = self._ended()
+                reason = self._ended()
                 continue
             if kind != "ready":
                 raise _rebuilt(result)
             return process
-        raise BulkError(f"a worker process could not start: it {why}")
+        raise BulkError(f"a worker process could not start: it {reason}")
 
     def _ended(self) -> str:
         """Wait until the worker, who has nothing left to read, has ended; how, in words."""
@@ -247,9 +243,9 @@ def _close(pipe: IO[bytes] | None) -> None:
 
 def _rebuilt(error: tuple[bytes, str]) -> BaseException:
     """The exception of a worker, or its words where it does not travel."""
-    packed, words = error
+    packed, text = error
     with suppress(Exception):
-        found = pickle.loads(packed)
-        if isinstance(found, BaseException):
-            return found
-    return BulkError(f"a worker failed: {words}")
+        exception = pickle.loads(packed)
+        if isinstance(exception, BaseException):
+            return exception
+    return BulkError(f"a worker failed: {text}")

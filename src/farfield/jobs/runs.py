@@ -39,7 +39,7 @@ class JobOptions:
         if self.workers < 0:
             raise ConfigError(f"workers: expected 1 or more, or 0 for as many as there are cores; got {self.workers}")
 
-    def hands(self, work: JobWork, units: int) -> int:
+    def num_workers(self, work: JobWork, units: int) -> int:
         """How many workers do so many units.
 
         Raises:
@@ -47,7 +47,7 @@ class JobOptions:
         """
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         wanted = min(self.workers, units) if self.workers else min(cores, units // _WORTH)
-        return fitting(max(1, wanted), getattr(work, "memory_bytes", 0), asked=self.workers > 0)
+        return fitting(max(1, wanted), getattr(work, "memory_bytes", 0), exactly=self.workers > 0)
 
 
 HERE = JobOptions()
@@ -72,10 +72,10 @@ class Outcome:
 class JobRun:
     """A work under way over the units that the journal does not have.
 
-    Who iterates over it gets the number of each unit that is left: after workers did it, or, where ``here`` is true,
-    before, and then does it himself and hands in what it gave::
+    Iterating gives the number of each unit that is left: after workers did it, or, where ``here`` is true, before, and
+    the caller then does it and enters the result::
 
-        with Running(work, units, bulk, journal=journal) as running:
+        with JobRun(work, units, bulk, journal=journal) as running:
             for number in bulk.progress(running):
                 if running.here:
                     running.enter(number, work(running.unit(number)))
@@ -96,9 +96,9 @@ class JobRun:
         self.work, self.units, self.journal, self._engine = work, units, journal, bulk.engine
         if journal is not None and journal.files:
             sweep_out(journal.folder)
-        self.left = [place for place, unit in enumerate(units) if journal is None or not journal.has(unit)]
+        self.left = [row for row, unit in enumerate(units) if journal is None or not journal.has(unit)]
         self.outcome = Outcome(skipped=len(units) - len(self.left))
-        self._workers = bulk.hands(work, len(self.left))
+        self._workers = bulk.num_workers(work, len(self.left))
         self._lost, self._source = list[tuple[str, str]](), ""
         self._iterating: Generator[int, None, None] | None = None
         self.here = bulk.engine == "local" and self._workers == 1 and not alone(work)
@@ -129,17 +129,17 @@ class JobRun:
         """The unit of a number."""
         return self.units[self.left[number]]
 
-    def enter(self, number: int, done: UnitResult) -> None:
+    def enter(self, number: int, result: UnitResult) -> None:
         """Hand in what the unit gave that the iteration came to last."""
-        value = done.value
+        value = result.value
         if self.journal is not None:
-            value = _entry(self.journal.folder, self._source, done)
-        self._enter(number, replace(done, value=value))
+            value = _entry(self.journal.folder, self._source, result)
+        self._enter(number, replace(result, value=value))
 
-    def _enter(self, number: int, done: UnitResult) -> None:
+    def _enter(self, number: int, result: UnitResult) -> None:
         if self.journal is not None:
-            self.journal.add(self.unit(number), *done.value)
-        self.outcome.written, self.outcome.clocks[self.left[number]] = self.outcome.written + 1, done.clock
+            self.journal.add(self.unit(number), *result.value)
+        self.outcome.written, self.outcome.clocks[self.left[number]] = self.outcome.written + 1, result.clock
 
     def _alone(self) -> Generator[int, None, None]:
         with one_thread():
@@ -157,11 +157,11 @@ class JobRun:
         marking = self.work if journal is None else _JournalledUnit(self.work, journal.folder, journal.setting)
         units = [self.unit(number) for number in range(len(self.left))]
         with closing(_results(self._engine, marking, units, self._workers, ordered=False)) as results:
-            for number, done in results:
-                if isinstance(done, FailedTask):
-                    self._lost.append((units[number].name, done.why))
+            for number, result in results:
+                if isinstance(result, FailedTask):
+                    self._lost.append((units[number].name, result.why))
                 else:
-                    self._enter(number, done)
+                    self._enter(number, result)
                 check()
                 yield number
 
@@ -193,8 +193,8 @@ def faults(units: Sequence[Unit], journal: JobJournal) -> list[str]:
 
     Every byte of their files is read; nothing is written.
     """
-    found = ((unit, journal.fault(unit, every_byte=True)) for unit in units)
-    return [f"{unit.name}: {fault}" for unit, fault in found if fault]
+    unit_faults = ((unit, journal.fault(unit, every_byte=True)) for unit in units)
+    return [f"{unit.name}: {fault}" for unit, fault in unit_faults if fault]
 
 
 def values(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE) -> Iterator[UnitResult]:
@@ -208,16 +208,16 @@ def values(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE) -> Ite
     Raises:
         BulkError: If workers died twice over a unit.
     """
-    lost = list[tuple[str, str]]()
-    with closing(_results(bulk.engine, work, units, bulk.hands(work, len(units)), ordered=True)) as results:
+    failed = list[tuple[str, str]]()
+    with closing(_results(bulk.engine, work, units, bulk.num_workers(work, len(units)), ordered=True)) as results:
         for _ in bulk.progress(range(len(units))):
-            index, done = next(results)
-            if isinstance(done, FailedTask):
-                lost.append((units[index].name, done.why))
+            index, result = next(results)
+            if isinstance(result, FailedTask):
+                failed.append((units[index].name, result.why))
             else:
-                yield done
+                yield result
             check()
-    _raise_for(lost, len(units))
+    _raise_for(failed, len(units))
 
 
 def _results(
@@ -228,14 +228,14 @@ def _results(
         yield from ENGINES[engine]().run(work, units, workers=workers, ordered=ordered)
 
 
-def _raise_for(lost: Sequence[tuple[str, str]], units: int) -> None:
+def _raise_for(failed: Sequence[tuple[str, str]], units: int) -> None:
     """Name the units that were lost, if any."""
-    if not lost:
+    if not failed:
         return
-    named = "; ".join(f"{name} ({why})" for name, why in lost[:_SHOWN])
-    more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+    names = "; ".join(f"{name} ({why})" for name, why in failed[:_SHOWN])
+    more = f" and {len(failed) - _SHOWN} more" if len(failed) > _SHOWN else ""
     raise BulkError(
-        f"{len(lost)} of {units} units could not be done, since their workers died twice: {named}{more}. All others "
+        f"{len(failed)} of {units} units could not be done, since their workers died twice: {names}{more}. All others "
         "are done. Run the same command again to try these, with fewer --workers if memory is short."
     )
 
@@ -259,13 +259,13 @@ class _JournalledUnit:
     def __call__(self, unit: Unit) -> UnitResult:
         with locked(self.folder, shared=True):
             source = state_of(unit.sources, self.setting)
-            done = self.work(unit)
-            return replace(done, files=(), value=_entry(self.folder, source, done))
+            result = self.work(unit)
+            return replace(result, files=(), value=_entry(self.folder, source, result))
 
 
-def _entry(folder: Path, source: str, done: UnitResult) -> tuple[str, dict[str, Mark], Any]:
+def _entry(folder: Path, source: str, result: UnitResult) -> tuple[str, dict[str, Mark], Any]:
     """What a journal keeps of a unit besides its name."""
-    return source, {path.relative_to(folder).as_posix(): mark_of(path) for path in done.files}, done.value
+    return source, {path.relative_to(folder).as_posix(): mark_of(path) for path in result.files}, result.value
 
 
 # How much memory is left to a work on this machine, within the limits of its container.
@@ -288,13 +288,13 @@ def available_bytes(cgroup: Path = _CGROUP) -> int:
     return free if limit == "max" else min(free, max(0, int(limit) - used + reclaimable))
 
 
-def fitting(workers: int, each_bytes: int, *, asked: bool, available: int | None = None) -> int:
+def fitting(workers: int, each_bytes: int, *, exactly: bool, available: int | None = None) -> int:
     """How many workers fit into the memory.
 
     Args:
         workers: How many are wanted.
         each_bytes: What one takes at most; 0 where that is not known.
-        asked: Whether the user asked for so many: then all must fit.
+        exactly: Whether the user asked for so many: then all must fit.
         available: Bytes that are free; measured unless given.
 
     Raises:
@@ -303,10 +303,10 @@ def fitting(workers: int, each_bytes: int, *, asked: bool, available: int | None
     if workers <= 1 or not each_bytes:
         return workers
     free = available_bytes() if available is None else available
-    room = int(free // each_bytes)
-    if room < workers and asked:
+    fit = int(free // each_bytes)
+    if fit < workers and exactly:
         raise BulkError(
             f"--workers {workers}: expected {workers * each_bytes / 1e9:.1f} GB of free memory, {each_bytes / 1e9:.1f} "
-            f"GB a worker, found {free / 1e9:.1f} GB. {f'--workers {room} fits' if room else 'Close other programs'}."
+            f"GB a worker, found {free / 1e9:.1f} GB. {f'--workers {fit} fits' if fit else 'Close other programs'}."
         )
-    return max(1, min(workers, room))
+    return max(1, min(workers, fit))

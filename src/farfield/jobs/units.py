@@ -67,7 +67,7 @@ def blocks(count: int, size: int, *, what: str = "") -> list[Unit]:
     '0-2 2-4 4-5'
     """
     ranges = [range(first, min(first + size, count)) for first in range(0, count, size)]
-    return [Unit(f"{what}{each.start}-{each.stop}", parameters=each) for each in ranges]
+    return [Unit(f"{what}{rows.start}-{rows.stop}", parameters=rows) for rows in ranges]
 
 
 # Where bulk work is done: the contract of an engine, and the registry of engines.

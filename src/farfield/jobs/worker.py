@@ -78,13 +78,13 @@ def _serve(inbox: _Inbox, outbox: IO[bytes]) -> None:
 
 
 def _travelling(error: Exception) -> tuple[bytes, str]:
-    words = "".join(traceback.format_exception_only(error)).strip()
+    text = "".join(traceback.format_exception_only(error)).strip()
     try:
         packed = pickle.dumps(error)
         pickle.loads(packed)
     except Exception:  # noqa: BLE001 - whatever an exception's own pickling does
-        return b"", words
-    return packed, words
+        return b"", text
+    return packed, text
 
 
 if __name__ == "__main__":

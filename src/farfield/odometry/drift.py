@@ -78,12 +78,12 @@ def differences(
     ends = np.minimum(np.searchsorted(way, way[starts] + length - 1e-6), len(way) - 1)
     if breaks is not None:
         piece = np.cumsum(breaks)
-        whole = piece[starts] == piece[ends]
-        starts, ends = starts[whole], ends[whole]
+        unbroken = piece[starts] == piece[ends]
+        starts, ends = starts[unbroken], ends[unbroken]
     own, other = (np.linalg.inv(track[starts]) @ track[ends] for track in (poses, others))
-    off = np.linalg.inv(own) @ other
-    turn = np.degrees(np.linalg.norm(logarithm(off)[:, :3], axis=1))
-    return length, np.linalg.norm(off[:, :3, 3], axis=1), turn
+    difference = np.linalg.inv(own) @ other
+    turn = np.degrees(np.linalg.norm(logarithm(difference)[:, :3], axis=1))
+    return length, np.linalg.norm(difference[:, :3, 3], axis=1), turn
 
 
 def drift_of(

@@ -101,8 +101,8 @@ def fit_clock(
     if modulo_ns is not None:
         difference = unwrapped(difference, modulo_ns)
     a, difference = a_ns[::every], difference[::every]
-    kept, steps = _longest_stretch(a, difference)
-    a, difference = a[kept], difference[kept]
+    stretch, steps = _longest_stretch(a, difference)
+    a, difference = a[stretch], difference[stretch]
     middle = int(a[0]) + int(a[-1] - a[0]) // 2
     base = int(np.median(difference))
     x, y = (a - middle) / 1e9, (difference - base) / 1e9
@@ -168,13 +168,13 @@ def _longest_stretch(a: Int64[np.ndarray, " n"], difference: Int64[np.ndarray, "
     single = 1.4826 * float(np.median(np.abs(stretches - medians[:, None])))
     limit = max(10 * spread, 5 * single, 1000.0)
     before, after = np.append(medians[:1], medians[:-2]), np.append(medians[2:], medians[-1:])
-    places = np.flatnonzero((np.abs(jumps - np.median(jumps)) > limit) & (np.abs(after - before) > limit / 2))
-    places = places[np.append(True, np.diff(places) > 1)] if len(places) else places
-    edges = np.concatenate([[0], (places + 1) * group, [len(a)]])
+    step_rows = np.flatnonzero((np.abs(jumps - np.median(jumps)) > limit) & (np.abs(after - before) > limit / 2))
+    step_rows = step_rows[np.append(True, np.diff(step_rows) > 1)] if len(step_rows) else step_rows
+    edges = np.concatenate([[0], (step_rows + 1) * group, [len(a)]])
     longest = int(np.argmax(np.diff(edges)))
     begin = int(edges[longest]) + (group if longest else 0)  # the step itself may lie within a stretch
-    end = int(edges[longest + 1]) - (group if longest < len(places) else 0)
-    return slice(begin, max(end, begin + 3)), len(places)
+    end = int(edges[longest + 1]) - (group if longest < len(step_rows) else 0)
+    return slice(begin, max(end, begin + 3)), len(step_rows)
 
 
 def _standard_errors(x: Seconds, y: Seconds, hull: bool) -> tuple[float, float]:
@@ -187,11 +187,11 @@ def _standard_errors(x: Seconds, y: Seconds, hull: bool) -> tuple[float, float]:
         return float("nan"), float("nan")
     parts = np.array_split(np.arange(len(x)), blocks)
     rng = np.random.default_rng(len(x))
-    found = []
+    fits = []
     for _ in range(60):
         rows = np.sort(np.concatenate([parts[k] for k in rng.integers(0, blocks, blocks)]))
-        found.append(lower_hull(x[rows], y[rows]) if hull else huber(x[rows], y[rows], *theil_sen(x[rows], y[rows])))
-    slope_se, level_se = np.std(np.array(found), axis=0, ddof=1)
+        fits.append(lower_hull(x[rows], y[rows]) if hull else huber(x[rows], y[rows], *theil_sen(x[rows], y[rows])))
+    slope_se, level_se = np.std(np.array(fits), axis=0, ddof=1)
     return float(slope_se), float(level_se)
 
 
@@ -373,5 +373,5 @@ def summarised(log: ClockLog) -> ExchangeClock:
 
 
 def _median(values: Float[np.ndarray, " n"]) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else None

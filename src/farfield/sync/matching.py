@@ -60,24 +60,24 @@ def match_times(
         ConfigError: If there is no such stream, or the tolerance is negative.
     """
     check(times_ns, reference, tolerance_ns)
-    own, places = cleaned(times_ns[reference])
+    own, own_index = cleaned(times_ns[reference])
     names = tuple(name for name in times_ns if name != reference)
     index = np.full((len(own), len(names)), -1, dtype=np.int64)
     residual = np.zeros_like(index)
     costs, tolerances = {}, {}
     for column, name in enumerate(names):
-        other, stood = cleaned(times_ns[name])
+        other, other_index = cleaned(times_ns[name])
         tolerance = default_tolerance_ns(own, other) if tolerance_ns is None else tolerance_ns
         partner = assign(own, other, tolerance)
         rows = np.flatnonzero(partner >= 0)
-        index[rows, column] = stood[partner[rows]]
+        index[rows, column] = other_index[partner[rows]]
         residual[rows, column] = other[partner[rows]] - own[rows]
         costs[name], tolerances[name] = cost_ns(own, other, partner, tolerance), tolerance
     return StampMatches(
         reference=reference,
         names=names,
         reference_ns=own,
-        reference_index=places,
+        reference_index=own_index,
         index=index,
         residual_ns=residual,
         cost_ns=costs,
@@ -154,23 +154,23 @@ def assign(a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], toleran
 
 
 def assign_in(
-    a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], tolerance_ns: int, found: CandidateWindows
+    a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], tolerance_ns: int, candidates: CandidateWindows
 ) -> Int64[np.ndarray, " n"]:
     """As :func:`assign`, with the windows known."""
     if not len(a_ns) or not len(b_ns):
         return np.full(len(a_ns), -1, dtype=np.int64)
-    partner = nearest(a_ns, b_ns, found)
+    partner = nearest(a_ns, b_ns, candidates)
     claimed = np.zeros(len(a_ns), dtype=np.bool_)
     claimed[1:] = (partner[1:] == partner[:-1]) & (partner[1:] >= 0)
     if not claimed.any():
         return partner
-    for first, last in _clusters(claimed, found.starts):
-        _solve(a_ns, b_ns, found, first, last, tolerance_ns, partner)
+    for first, last in _clusters(claimed, candidates.starts):
+        _solve(a_ns, b_ns, candidates, first, last, tolerance_ns, partner)
     return partner
 
 
 def nearest(
-    a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], found: CandidateWindows
+    a_ns: Int64[np.ndarray, " n"], b_ns: Int64[np.ndarray, " m"], candidates: CandidateWindows
 ) -> Int64[np.ndarray, " n"]:
     """Index of the nearest candidate of each reference stamp, the earlier of two, -1 where there is none.
 
@@ -179,7 +179,7 @@ def nearest(
     after = np.searchsorted(b_ns, a_ns, side="left")
     right, left = np.minimum(after, len(b_ns) - 1), np.maximum(after - 1, 0)
     chosen = np.where(np.abs(a_ns - b_ns[left]) <= np.abs(b_ns[right] - a_ns), left, right)
-    return np.where(found.high > found.low, chosen, -1).astype(np.int64)
+    return np.where(candidates.high > candidates.low, chosen, -1).astype(np.int64)
 
 
 def cost_ns(
@@ -201,10 +201,10 @@ def _clusters(claimed: Bool[np.ndarray, " n"], starts: Stamps) -> list[tuple[int
 
 
 def _solve(
-    a_ns: Stamps, b_ns: Stamps, found: CandidateWindows, first: int, last: int, tolerance_ns: int, partner: Stamps
+    a_ns: Stamps, b_ns: Stamps, candidates: CandidateWindows, first: int, last: int, tolerance_ns: int, partner: Stamps
 ) -> None:
     """Write the best partners of one cluster's rows into ``partner``."""
-    low, high = found.low[first:last], found.high[first:last]
+    low, high = candidates.low[first:last], candidates.high[first:last]
     begin, end = int(low[0]), int(high[-1])
     offsets = np.concatenate([[0], np.cumsum(high - low + 1)]).astype(np.int64)
     if (cells := int(offsets[-1])) > MAX_CELLS:

@@ -29,13 +29,13 @@ class StampSource:
     Args:
         blocks: Reads them, block by block.
         labels: The messages' names in their order; None: counted from 0.
-        said: How the stamps are read, in words, where that was guessed or is not obvious.
+        note: How the stamps are read, in words, where that was guessed or is not obvious.
         arrived_ns: When each message was recorded, by the clock of the computer, where both are known, shape (n,).
     """
 
     blocks: Callable[[], Iterator[Int64[np.ndarray, " _"]]]
     labels: Sequence[str] | None = None
-    said: str = ""
+    note: str = ""
     arrived_ns: Int64[np.ndarray, " n"] | None = None
 
 
@@ -69,10 +69,12 @@ def recordings(root: Path | str, *, unit: Unit = "auto", stamp: Stamp = "header"
     if is_bag(root) or (root.is_dir() and any(map(is_bag, root.iterdir()))):
         return [_of_bag(path, stamp) for path in ([root] if is_bag(root) else sorted(filter(is_bag, root.iterdir())))]
     if not root.is_dir():
-        raise DatasetError(f"{root}: expected a folder of stamps or a data set's, found {_kind(root)}.")
-    found = _kitti_raw(root, unit) or _lists(root, unit)
-    if found:
-        return found
+        raise DatasetError(
+            f"{root}: expected a folder of stamps or a data set's, found {'a file' if root.exists() else 'nothing'}."
+        )
+    from_folders = _kitti_raw(root, unit) or _lists(root, unit)
+    if from_folders:
+        return from_folders
     data = open_dataset(root)
     drives = [recording for drive in data.drives() if (recording := _of_drive(data, drive)) is not None]
     if not drives:
@@ -83,19 +85,15 @@ def recordings(root: Path | str, *, unit: Unit = "auto", stamp: Stamp = "header"
     return drives
 
 
-def _kind(path: Path) -> str:
-    return "a file" if path.exists() else "nothing"
-
-
 def _kitti_raw(root: Path, unit: Unit) -> list[RecordedStreams]:
     """Drives with ``<stream>/timestamps.txt``; a lidar has the start, the middle and the end of its turns."""
-    places = [path for depth in ("*", "*/*", "*/*/*") for path in root.glob(f"{depth}/timestamps*.txt")]
+    paths = [path for depth in ("*", "*/*", "*/*/*") for path in root.glob(f"{depth}/timestamps*.txt")]
     drives: dict[Path, dict[str, StampSource]] = {}
-    for path in sorted(places):
+    for path in sorted(paths):
         part = path.stem.removeprefix("timestamps").lstrip("_")
         name = path.parent.name + (f"/{part}" if part else "")
-        if (known := recognise_stamps(path, unit=unit)) is not None:
-            drives.setdefault(path.parent.parent, {})[name] = _source(known, path.parent / "data")
+        if (stamps := recognise_stamps(path, unit=unit)) is not None:
+            drives.setdefault(path.parent.parent, {})[name] = _source(stamps, path.parent / "data")
     return [
         RecordedStreams(name=folder.resolve().name, streams=streams, logs=_logs(folder))
         for folder, streams in drives.items()
@@ -105,8 +103,8 @@ def _kitti_raw(root: Path, unit: Unit) -> list[RecordedStreams]:
 def _lists(root: Path, unit: Unit) -> list[RecordedStreams]:
     """Lists in the folder itself, or in each of its folders, one a stream; a recording has two or more."""
     for folders in ([root], sorted(path for path in root.iterdir() if path.is_dir())):
-        found = [(folder, _lists_in(folder, unit)) for folder in folders]
-        several = [(folder, streams) for folder, streams in found if len(streams) > 1]
+        streams_of = [(folder, _lists_in(folder, unit)) for folder in folders]
+        several = [(folder, streams) for folder, streams in streams_of if len(streams) > 1]
         if several:
             return [
                 RecordedStreams(name=folder.resolve().name, streams=streams, logs=_logs(folder))
@@ -116,26 +114,26 @@ def _lists(root: Path, unit: Unit) -> list[RecordedStreams]:
 
 
 def _lists_in(folder: Path, unit: Unit) -> dict[str, StampSource]:
-    found = {}
+    streams = {}
     for path in sorted(folder.iterdir()):
         if path.suffix in LISTS and path.is_file():
-            known = recognise_stamps(path, unit=unit)
-            if known is not None:
-                found[path.stem] = _source(known)
-    return found
+            stamps = recognise_stamps(path, unit=unit)
+            if stamps is not None:
+                streams[path.stem] = _source(stamps)
+    return streams
 
 
-def _source(known: StampList, data: Path | None = None) -> StampSource:
+def _source(stamps: StampList, data: Path | None = None) -> StampSource:
     """A list as a stream; its messages are named as the files in ``data`` where there are as many as stamps."""
     labels: list[str] | None = None
-    if known.form == "radiate":
-        labels = [f"{number:06d}" for number in read_times(known.path)]
+    if stamps.form == "radiate":
+        labels = [f"{number:06d}" for number in read_times(stamps.path)]
     elif data is not None and data.is_dir():  # lost messages have a number and no line
         stems = sorted({path.stem for path in data.iterdir() if path.is_file()})
-        labels = stems if len(stems) == sum(map(len, read_stamps(known))) else None
-    said = f"unit taken as {known.unit}, by the size of the first number" if known.guessed else ""
-    said = "local time without a zone, taken as UTC" if known.form == "date" else said
-    return StampSource(blocks=partial(read_stamps, known), labels=labels, said=said)
+        labels = stems if len(stems) == sum(map(len, read_stamps(stamps))) else None
+    note = f"unit taken as {stamps.unit}, by the size of the first number" if stamps.guessed else ""
+    note = "local time without a zone, taken as UTC" if stamps.form == "date" else note
+    return StampSource(blocks=partial(read_stamps, stamps), labels=labels, note=note)
 
 
 def _logs(folder: Path) -> tuple[Path, ...]:
@@ -152,18 +150,20 @@ def _of_bag(path: Path, stamp: Stamp) -> RecordedStreams:
     names = [topic.name for topic in bag.topics if topic.name.strip("/") != "tf_static"]
     stamps = bag.stamps(names) if names else {}
     streams = {}
-    for topic, found in stamps.items():
-        if len(found.log_ns):
-            times = found.log_ns if found.header_ns is None or stamp == "log" else found.header_ns
+    for topic, topic_stamps in stamps.items():
+        if len(topic_stamps.log_ns):
+            times = topic_stamps.log_ns if topic_stamps.header_ns is None or stamp == "log" else topic_stamps.header_ns
             order = np.argsort(times, kind="stable")  # a bag is in the order of recording
-            moved = int((np.diff(times) < 0).sum())
-            said = "no stamp of its own: times of recording" if found.header_ns is None else ""
-            said = f"{moved} stamps are earlier than the one recorded before; taken in order" if moved else said
+            misordered = int((np.diff(times) < 0).sum())
+            note = "no stamp of its own: times of recording" if topic_stamps.header_ns is None else ""
+            note = (
+                f"{misordered} stamps are earlier than the one recorded before; taken in order" if misordered else note
+            )
             streams[topic] = StampSource(
                 blocks=partial(iter, [times[order]]),
-                labels=[str(place) for place in order] if moved else None,
-                said=said,
-                arrived_ns=None if times is found.log_ns else found.log_ns[order],
+                labels=[str(place) for place in order] if misordered else None,
+                note=note,
+                arrived_ns=None if times is topic_stamps.log_ns else topic_stamps.log_ns[order],
             )
     return RecordedStreams(name=path.stem if path.is_file() else path.resolve().name, streams=streams)
 

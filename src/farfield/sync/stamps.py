@@ -96,9 +96,9 @@ class StreamCounter:
             self.period = int(np.median(steps[: 1 << 20]))
         self.longest = max(self.longest, int(steps.max()))
         self.step = int(np.gcd.reduce(np.append(steps, self.step)))
-        whole = steps[steps < (BREAK_PERIODS + 0.5) * self.period]
-        self.covered += int(whole.sum())
-        self.ticks += int(np.maximum(np.rint(whole / self.period), 1).sum())
+        usual = steps[steps < (BREAK_PERIODS + 0.5) * self.period]
+        self.covered += int(usual.sum())
+        self.ticks += int(np.maximum(np.rint(usual / self.period), 1).sum())
         rows = np.flatnonzero(steps > GAP_PERIODS * self.period)
         self.gaps += len(rows)
         self.lost += int((np.rint(steps[rows] / self.period) - 1).sum())
@@ -108,7 +108,7 @@ class StreamCounter:
 
     def result(self) -> StreamStats:
         """What was found so far."""
-        nothing = np.zeros(0, dtype=np.int64)
+        none = np.zeros(0, dtype=np.int64)
         return StreamStats(
             count=self.count,
             first_ns=self.first,
@@ -121,8 +121,8 @@ class StreamCounter:
             lost=self.lost,
             longest_gap_ns=self.longest or None,
             step_ns=self.step or None,
-            gap_starts_ns=np.concatenate([nothing, *self.starts]),
-            gap_lengths_ns=np.concatenate([nothing, *self.lengths]),
+            gap_starts_ns=np.concatenate([none, *self.starts]),
+            gap_lengths_ns=np.concatenate([none, *self.lengths]),
         )
 
 
@@ -138,8 +138,8 @@ def cleaned(times_ns: Int64[np.ndarray, " n"]) -> tuple[Stamps, Int64[np.ndarray
     steps = np.diff(times_ns)
     if not len(steps) or steps.min() > 0:
         return times_ns, np.arange(len(times_ns))
-    found, places = np.unique(times_ns, return_index=True)
-    return found, places.astype(np.int64)
+    unique_ns, index = np.unique(times_ns, return_index=True)
+    return unique_ns, index.astype(np.int64)
 
 
 def drives_in(times_ns: Int64[np.ndarray, " n"]) -> list[slice]:
@@ -158,17 +158,17 @@ def apart(streams: Mapping[str, StreamStats], reference: str, tolerance_ns: int)
         reference: The stream to which the others are matched.
         tolerance_ns: So far apart may stamps be and still belong together.
     """
-    own, found = streams[reference], {}
+    own, reasons = streams[reference], {}
     for name, other in streams.items():
         if name == reference or own.first_ns is None or own.last_ns is None:
             continue
         if other.first_ns is None or other.last_ns is None:
-            found[name] = f"{name} has no stamps"
+            reasons[name] = f"{name} has no stamps"
         elif other.first_ns > own.last_ns + tolerance_ns or other.last_ns < own.first_ns - tolerance_ns:
             by_s = (other.first_ns - own.first_ns) / 1e9
             word = "after" if by_s > 0 else "before"
-            found[name] = (
+            reasons[name] = (
                 f"{name} does not overlap with {reference}: it begins {abs(by_s):.3f} s {word} it and shares no "
                 "moment; its clock is another one, or it was recorded apart"
             )
-    return found
+    return reasons

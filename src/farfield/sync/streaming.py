@@ -85,7 +85,7 @@ class StampStream:
             return
         if self.seen is not None:
             self.seen(self.name, block)
-        places = np.arange(self.read, self.read + len(block), dtype=np.int64)
+        index = np.arange(self.read, self.read + len(block), dtype=np.int64)
         self.read += len(block)
         if not len(block):
             return
@@ -94,7 +94,7 @@ class StampStream:
         rising = block > highest if self._latest is not None else np.append(True, block[1:] > highest[1:])
         self.left_out += int((~rising).sum())
         self.times_ns = np.concatenate([self.times_ns, block[rising]])
-        self.places = np.concatenate([self.places, places[rising]])
+        self.places = np.concatenate([self.places, index[rising]])
         self._latest = int(max(before, block.max()))
 
     def drop(self, count: int) -> None:
@@ -128,13 +128,13 @@ def match_blocks(
     check(streams, reference, None)
     opened = {name: StampStream(name, iter(blocks), seen) for name, blocks in streams.items()}
     names = [name for name in streams if name != reference]
-    given = tolerance_ns if isinstance(tolerance_ns, Mapping) else dict.fromkeys(names, tolerance_ns)
-    if missing := [name for name in names if given.get(name, -1) < 0]:
+    tolerances_ns = tolerance_ns if isinstance(tolerance_ns, Mapping) else dict.fromkeys(names, tolerance_ns)
+    if missing := [name for name in names if tolerances_ns.get(name, -1) < 0]:
         raise ConfigError(f"tolerance: expected 0 or more for each stream, none for {', '.join(missing)}")
     own = opened.pop(reference)
     while True:
         own.more()
-        rows, columns = _ready(own, [opened[name] for name in names], [given[name] for name in names])
+        rows, columns = _ready(own, [opened[name] for name in names], [tolerances_ns[name] for name in names])
         if rows:
             yield _taken(own, rows, columns)
         if own.ended and not len(own.times_ns):
@@ -149,16 +149,16 @@ def _ready(own: StampStream, others: list[StampStream], tolerances: list[int]) -
     count = len(own.times_ns)
     if not count:
         return 0, []
-    whole = np.append(np.arange(count), count) if own.ended else np.arange(count)
-    found = []
+    boundaries = np.append(np.arange(count), count) if own.ended else np.arange(count)
+    candidates = []
     for stream, tolerance in zip(others, tolerances, strict=True):
         stream.until(int(own.times_ns[-1]) + tolerance)
-        found.append(windows(own.times_ns, stream.times_ns, tolerance))
-        whole = np.intersect1d(whole, np.append(found[-1].starts, count), assume_unique=True)
-    rows = count // 2 if not whole[-1] and count > LONGEST else int(whole[-1])
+        candidates.append(windows(own.times_ns, stream.times_ns, tolerance))
+        boundaries = np.intersect1d(boundaries, np.append(candidates[-1].starts, count), assume_unique=True)
+    rows = count // 2 if not boundaries[-1] and count > LONGEST else int(boundaries[-1])
     if not rows:
         return 0, []
-    solved = zip(others, tolerances, found, strict=True)
+    solved = zip(others, tolerances, candidates, strict=True)
     return rows, [(s, assign_in(own.times_ns, s.times_ns, t, w), w) for s, t, w in solved]
 
 
@@ -166,21 +166,21 @@ def _taken(own: StampStream, rows: int, columns: list[Column]) -> MatchBlock:
     """The first rows as a table; what they used up is dropped."""
     index = np.full((rows, len(columns)), -1, dtype=np.int64)
     residual = np.zeros_like(index)
-    for column, (stream, partner, found) in enumerate(columns):
+    for column, (stream, partner, candidates) in enumerate(columns):
         paired = np.flatnonzero(partner[:rows] >= 0)
         chosen = partner[paired]
         index[paired, column] = stream.places[chosen]
         residual[paired, column] = stream.times_ns[chosen] - own.times_ns[paired]
-        used = int(chosen[-1]) + 1 if len(chosen) else 0
-        stream.drop(max(used, int(found.low[rows])) if rows < len(partner) else len(stream.times_ns))
-    matched = MatchBlock(
+        first_unused = int(chosen[-1]) + 1 if len(chosen) else 0
+        stream.drop(max(first_unused, int(candidates.low[rows])) if rows < len(partner) else len(stream.times_ns))
+    block = MatchBlock(
         reference_ns=own.times_ns[:rows].copy(),
         reference_index=own.places[:rows].copy(),
         index=index,
         residual_ns=residual,
     )
     own.drop(rows)
-    return matched
+    return block
 
 
 @dataclass(frozen=True)
@@ -268,26 +268,26 @@ class StreamMatcher:
     def push(self, stream: str, stamp_ns: int) -> list[MatchedGroup]:
         """Take one message; give the groups that are decided by it, in order."""
         own = self._streams[stream]
-        place, own.arrived = own.arrived, own.arrived + 1
+        index, own.arrived = own.arrived, own.arrived + 1
         if own.doubtful is not None:
-            return self._resolve(stream, own, (stamp_ns, place))
+            return self._resolve(stream, own, (stamp_ns, index))
         if own.latest is not None and abs(stamp_ns - own.latest) > self.jump_ns:
-            own.doubtful = (stamp_ns, place)
+            own.doubtful = (stamp_ns, index)
             return []
-        return self._take(stream, own, (stamp_ns, place))
+        return self._take(stream, own, (stamp_ns, index))
 
     def close(self) -> list[MatchedGroup]:
         """Give the groups that are left; the matcher is then empty, and may be used again."""
-        found = []
+        groups = []
         for name, own in self._streams.items():
             if own.doubtful is not None:
-                held, own.doubtful = own.doubtful, None
-                found += self._take(name, own, held)
-        found += self._decided(None)
+                message, own.doubtful = own.doubtful, None
+                groups += self._take(name, own, message)
+        groups += self._decided(None)
         for own in self._streams.values():
             own.pending, own.latest, own.silent = [], None, False
         self._watermark = None
-        return found
+        return groups
 
     @property
     def held(self) -> int:
@@ -296,26 +296,26 @@ class StreamMatcher:
 
     def _resolve(self, stream: str, own: _StreamBuffer, message: tuple[int, int]) -> list[MatchedGroup]:
         """A stamp stood far from the ones before: the next one goes on from it, or from them."""
-        held, own.doubtful = own.doubtful, None
-        if held is None or own.latest is None:
+        doubtful, own.doubtful = own.doubtful, None
+        if doubtful is None or own.latest is None:
             return self._take(stream, own, message)
-        if abs(message[0] - own.latest) < abs(message[0] - held[0]):
+        if abs(message[0] - own.latest) < abs(message[0] - doubtful[0]):
             self.counts["astray", stream] += 1
             return self._take(stream, own, message)
-        if held[0] > own.latest:
-            return self._take(stream, own, held) + self._take(stream, own, message)
-        self.warnings.append(f"{stream}: its clock was set back by {(own.latest - held[0]) / 1e9:.3f} s")
-        return self._begin_anew({stream: held}) + self._take(stream, own, message)
+        if doubtful[0] > own.latest:
+            return self._take(stream, own, doubtful) + self._take(stream, own, message)
+        self.warnings.append(f"{stream}: its clock was set back by {(own.latest - doubtful[0]) / 1e9:.3f} s")
+        return self._begin_anew({stream: doubtful}) + self._take(stream, own, message)
 
     def _begin_anew(self, first: dict[str, tuple[int, int]]) -> list[MatchedGroup]:
         """End the recording so far; what other streams kept aside that lies before their latest comes after it."""
         for name, other in self._streams.items():
             if other.doubtful is not None and other.latest is not None and other.doubtful[0] < other.latest:
                 first[name], other.doubtful = other.doubtful, None
-        found = self.close()
+        groups = self.close()
         for name, message in first.items():
-            found += self._take(name, self._streams[name], message)
-        return found
+            groups += self._take(name, self._streams[name], message)
+        return groups
 
     def _take(self, stream: str, own: _StreamBuffer, message: tuple[int, int]) -> list[MatchedGroup]:
         stamp = message[0]
@@ -326,7 +326,7 @@ class StreamMatcher:
             return []
         if own.pending and own.pending[-1][0] < stamp:
             own.pending.append(message)
-        elif (place := bisect_left(own.pending, (stamp, -1))) < len(own.pending) and own.pending[place][0] == stamp:
+        elif (index := bisect_left(own.pending, (stamp, -1))) < len(own.pending) and own.pending[index][0] == stamp:
             self.counts["duplicate", stream] += 1
             return []
         else:
@@ -376,33 +376,39 @@ class StreamMatcher:
             return []
         a = np.array([stamp for stamp, _ in waiting[:last]], dtype=np.int64)
         columns = [np.array([stamp for stamp, _ in self._streams[n].pending], dtype=np.int64) for n in self.others]
-        found = [windows(a, b, self.tolerance_ns) for b in columns]
+        candidates = [windows(a, b, self.tolerance_ns) for b in columns]
         following = waiting[last][0] if last < len(waiting) else mark  # no reference comes before it
-        whole = np.arange(last + 1)
-        for column, known in zip(columns, found, strict=True):
+        boundaries = np.arange(last + 1)
+        for column, windows_of in zip(columns, candidates, strict=True):
             apart = (
-                following is None or not known.high[-1] or column[known.high[-1] - 1] < following - self.tolerance_ns
+                following is None
+                or not windows_of.high[-1]
+                or column[windows_of.high[-1] - 1] < following - self.tolerance_ns
             )
-            whole = np.intersect1d(whole, np.append(known.starts, last) if apart else known.starts, assume_unique=True)
-        rows = int(whole[-1])
+            boundaries = np.intersect1d(
+                boundaries, np.append(windows_of.starts, last) if apart else windows_of.starts, assume_unique=True
+            )
+        rows = int(boundaries[-1])
         if not rows and a[-1] - a[0] > self.longest_ns:
             rows = int(np.argmax(np.diff(a))) + 1
             self.counts["cut", self.reference] += 1
         if not rows:
             return []
-        partners = [assign_in(a, b, self.tolerance_ns, known) for b, known in zip(columns, found, strict=True)]
+        partners = [
+            assign_in(a, b, self.tolerance_ns, windows_of) for b, windows_of in zip(columns, candidates, strict=True)
+        ]
         groups = [self._group(waiting[row], [int(partner[row]) for partner in partners]) for row in range(rows)]
-        for name, partner, known in zip(self.others, partners, found, strict=True):
-            used = int(partner[:rows].max()) + 1
-            del self._streams[name].pending[: max(used, int(known.low[rows]) if rows < last else 0)]
+        for name, partner, windows_of in zip(self.others, partners, candidates, strict=True):
+            first_unused = int(partner[:rows].max()) + 1
+            del self._streams[name].pending[: max(first_unused, int(windows_of.low[rows]) if rows < last else 0)]
         del waiting[:rows]
         self._forget(mark)
         return groups
 
     def _group(self, message: tuple[int, int], partners: list[int]) -> MatchedGroup:
         chosen = {
-            name: None if place < 0 else self._streams[name].pending[place]
-            for name, place in zip(self.others, partners, strict=True)
+            name: None if index < 0 else self._streams[name].pending[index]
+            for name, index in zip(self.others, partners, strict=True)
         }
         return MatchedGroup(message[0], message[1], chosen)
 

@@ -104,7 +104,7 @@ class SyncResult:
             "reference": self.reference,
             "streams": {name: health.to_json() for name, health in self.streams.items()},
             "pairs": {name: pair.to_json() for name, pair in self.pairs.items()},
-            "exchanges": {name: each.to_json() for name, each in self.exchanges.items()},
+            "exchanges": {name: exchange.to_json() for name, exchange in self.exchanges.items()},
             "arrivals": {name: clock.to_json() for name, clock in self.arrivals.items()},
             "findings": list(self.findings),
         }
@@ -129,20 +129,20 @@ class _PairAccumulator:
         first, last = health.first_ns, health.last_ns
         beyond = (rows.reference_ns < (first or 0)) | (rows.reference_ns > (last or 0))
         self.outside += int((beyond & (rows.index[:, column] < 0)).sum()) if first is not None else len(beyond)
-        kept = paired[rows.reference_index[paired] % self.every == 0]
-        self.times = [*(self.times or []), rows.reference_ns[kept]]
-        self.residuals = [*(self.residuals or []), rows.residual_ns[kept, column]]
+        sampled = paired[rows.reference_index[paired] % self.every == 0]
+        self.times = [*(self.times or []), rows.reference_ns[sampled]]
+        self.residuals = [*(self.residuals or []), rows.residual_ns[sampled, column]]
 
 
 def describe(recording: RecordedStreams) -> dict[str, StreamStats]:
     """Each stream of a recording by its own stamps; reads all of them once."""
-    found = {}
+    streams = {}
     for name, source in recording.streams.items():
         counting = StreamCounter()
         for block in source.blocks():
             counting.add(block)
-        found[name] = counting.result()
-    return found
+        streams[name] = counting.result()
+    return streams
 
 
 def best_reference(streams: Mapping[str, StreamStats]) -> str:
@@ -171,8 +171,8 @@ def reference_of(name: str, streams: Mapping[str, StreamStats], to: str | None) 
     """
     reference = best_reference(streams) if to is None else to
     if reference not in streams or len(streams) < 2:
-        known = ", ".join(streams)
-        raise ConfigError(f"{name}: expected a stream to match to and one more, of {known}; got {reference!r}")
+        names = ", ".join(streams)
+        raise ConfigError(f"{name}: expected a stream to match to and one more, of {names}; got {reference!r}")
     return reference
 
 
@@ -221,17 +221,17 @@ def synchronise(
     )
 
 
-def _tolerance(own: StreamStats, other: StreamStats, given: int | None) -> int:
-    if given is not None:
-        return given
+def _tolerance(own: StreamStats, other: StreamStats, tolerance_ns: int | None) -> int:
+    if tolerance_ns is not None:
+        return tolerance_ns
     periods = [health.period_ns for health in (own, other) if health.period_ns]
     return -(-min(periods) // 2) if periods else 0
 
 
 def _pair(gathered: _PairAccumulator, own: StreamStats, other: StreamStats, tolerance_ns: int) -> StreamPair:
-    nothing = np.zeros(0, dtype=np.int64)
-    times = np.concatenate([nothing, *(gathered.times or [])])
-    residual = np.concatenate([nothing, *(gathered.residuals or [])])
+    none = np.zeros(0, dtype=np.int64)
+    times = np.concatenate([none, *(gathered.times or [])])
+    residual = np.concatenate([none, *(gathered.residuals or [])])
     clock, untold = _clock(times, residual, own, other)
     rows = own.count - own.duplicates - own.backwards
     return StreamPair(
@@ -270,14 +270,14 @@ def _clock(
 
 def _arrivals(recording: RecordedStreams) -> dict[str, ClockModel]:
     """One-way: what the offset includes of the delay stays unknown."""
-    found = {}
+    clocks = {}
     for name, source in recording.streams.items():
         if source.arrived_ns is not None and len(source.arrived_ns) >= FEWEST_PAIRS:
             times = np.concatenate(list(source.blocks()))
             rising = np.append(True, np.diff(times) > 0)
             if rising.sum() >= FEWEST_PAIRS:
-                found[name] = fit_clock(times[rising], source.arrived_ns[rising])
-    return found
+                clocks[name] = fit_clock(times[rising], source.arrived_ns[rising])
+    return clocks
 
 
 def _findings(
@@ -289,22 +289,22 @@ def _findings(
 ) -> list[str]:
     """What a user must know of a recording, worst first."""
     alone = apart(streams, reference, max(tolerances.values(), default=0))
-    found = list(alone.values())
+    findings = list(alone.values())
     for name, pair in pairs.items():
         possible = min(pair.matched + pair.lost, streams[name].count)
         if name not in alone and pair.matched < 0.9 * possible:
-            found.append(f"{name}: {pair.matched} pairs with {reference}, where {possible} would be possible")
+            findings.append(f"{name}: {pair.matched} pairs with {reference}, where {possible} would be possible")
     for name, health in streams.items():
         if health.duplicates:
-            found.append(f"{name}: {health.duplicates} stamps stand there twice")
+            findings.append(f"{name}: {health.duplicates} stamps stand there twice")
         if health.backwards:
-            found.append(f"{name}: {health.backwards} stamps run backwards and are left out until it is later again")
+            findings.append(f"{name}: {health.backwards} stamps run backwards and are left out until it is later again")
         if health.gaps and health.longest_gap_ns is not None and health.period_ns:
             longest = health.longest_gap_ns / 1e9
-            found.append(f"{name}: {health.gaps} gaps, about {health.lost} messages lost, longest {longest:.3f} s")
-        if recording.streams[name].said:
-            found.append(f"{name}: {recording.streams[name].said}")
-    return found
+            findings.append(f"{name}: {health.gaps} gaps, about {health.lost} messages lost, longest {longest:.3f} s")
+        if recording.streams[name].note:
+            findings.append(f"{name}: {recording.streams[name].note}")
+    return findings
 
 
 def over_time(

@@ -17,7 +17,7 @@ from farfield.files.nuscenes import WORLD
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import camera_from_lidar
-from farfield.metrics.detections import Details, Detections
+from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
 
 MOST_BOXES = 500
@@ -55,10 +55,16 @@ def write_kitti_tracks(folder: Path | str, tracks: Detections) -> list[Path]:
 
 
 def _kitti_tracks(keys: list[Key], tracks: Detections) -> KittiTracks:
-    boxes = Boxes.concatenate([_identified(tracks.boxes[key], key) for key in keys])
+    boxes = Boxes.concatenate([_check_ids(tracks.boxes[key], key) for key in keys])
     frame = np.repeat([int(key[1]) for key in keys], [len(tracks.boxes[key]) for key in keys])
     bottom, size, rotation = camera_from_lidar(boxes.centre_m, boxes.size_m, boxes.yaw_rad)
-    box_px = [_box_px(tracks.prediction_details.get(key, {}), len(tracks.boxes[key])) for key in keys]
+    box_px = [
+        np.asarray(
+            tracks.prediction_details.get(key, {}).get("box_px", np.full((len(tracks.boxes[key]), 4), -1.0)),
+            dtype=np.float64,
+        )
+        for key in keys
+    ]
     objects = KittiObjects(
         type=np.asarray(boxes.label),
         truncation=np.zeros(len(boxes)),
@@ -75,14 +81,10 @@ def _kitti_tracks(keys: list[Key], tracks: Detections) -> KittiTracks:
     return KittiTracks(frame=frame.astype(np.int64), track_id=ids, objects=objects)
 
 
-def _identified(boxes: Boxes, key: Key) -> Boxes:
+def _check_ids(boxes: Boxes, key: Key) -> Boxes:
     if len(boxes) and (boxes.track_id is None or (boxes.track_id < 0).any()):
         raise ConfigError(f"expected boxes with a track_id, got a box without one in {key}; track them first")
     return boxes
-
-
-def _box_px(known: Details, count: int) -> np.ndarray:
-    return np.asarray(known["box_px"], dtype=np.float64) if "box_px" in known else np.full((count, 4), -1.0)
 
 
 def write_tracks_csv(path: Path | str, tracks: Detections) -> None:
@@ -93,7 +95,7 @@ def write_tracks_csv(path: Path | str, tracks: Detections) -> None:
 def _csv_parts(tracks: Detections) -> Iterator[BoxRows]:
     named = any(sequence for sequence, _ in tracks.boxes)
     for key in sorted(tracks.boxes, key=frame_order):
-        boxes = _identified(tracks.boxes[key], key)
+        boxes = _check_ids(tracks.boxes[key], key)
         yield BoxRows(
             sequence=np.full(len(boxes), key[0]) if named else None,
             frame=np.full(len(boxes), key[1]),
@@ -127,15 +129,15 @@ def write_nuscenes_tracks(path: Path | str, tracks: Detections, *, names: Mappin
     }
     results: dict[str, list[dict[str, Any]]] = {}
     for key in sorted(tracks.boxes, key=frame_order):
-        boxes = _identified(tracks.boxes[key], key)
+        boxes = _check_ids(tracks.boxes[key], key)
         if len(boxes) > MOST_BOXES or key[1] in results:
             expected = f"at most {MOST_BOXES} boxes a sample, and each token once"
             raise ConfigError(f"nuScenes' tracking JSON: expected {expected}; got {len(boxes)} boxes in {key}")
         boxes = boxes.transform(poses[key]) if key in poses else boxes
         results[key[1]] = [_nuscenes_box(boxes, row, key, names or {}) for row in range(len(boxes))]
     meta: dict[str, Any] = {f"use_{name}": name == "lidar" for name in _SENSORS}
-    stands_in = WORLD if poses else tracks.reference
-    meta |= {"reference": stands_in} if stands_in else {}
+    reference = WORLD if poses else tracks.reference
+    meta |= {"reference": reference} if reference else {}
     write_text(path, json.dumps({"meta": meta, "results": results}, allow_nan=False) + "\n")
 
 
