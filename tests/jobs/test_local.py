@@ -168,8 +168,8 @@ def test_memory_limits_the_workers(tmp_path: Path) -> None:
 def test_as_many_workers_as_there_are_cores_and_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(6)), raising=False)
     automatic = JobOptions(workers=0)
-    assert [automatic.hands(works.square, count) for count in (1, 7, 8, 1000)] == [1, 1, 2, 6]
-    assert JobOptions(workers=4).hands(works.square, 2) == 2
+    assert [automatic.num_workers(works.square, count) for count in (1, 7, 8, 1000)] == [1, 1, 2, 6]
+    assert JobOptions(workers=4).num_workers(works.square, 2) == 2
 
 
 def test_an_engine_of_another_package_does_the_work_of_any_verb(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def record_frames(
     jobs = JobOptions(workers=options.workers, engine=options.engine, progress=progress)
     work, units = Simulate(recording), units_of(recording)
     if options.dry_run:
-        for line in announced(recording, len(units), jobs.hands(work, len(units))):
+        for line in announced(recording, len(units), jobs.num_workers(work, len(units))):
             report(line)
         begun = recording.out.is_dir() and any(recording.out.iterdir())
         report(
@@ -92,7 +92,7 @@ def record_frames(
     claim(recording)
     journal = journal_of(recording)
     missing = sum(not journal.has(unit) for unit in units)
-    for line in announced(recording, missing, jobs.hands(work, missing)):
+    for line in announced(recording, missing, jobs.num_workers(work, missing)):
         report(line)
     check_disk(recording, missing)
     # simulate and write the frames that are missing
