@@ -35,7 +35,7 @@ from farfield.experiments.plan import Plan
 from farfield.experiments.schema import experiment_of
 from farfield.files.atomic import write_text
 from farfield.metrics.deciding import figure
-from farfield.metrics.deciding.samples import ScoreSample, sample
+from farfield.metrics.deciding.difference import ScoreSample, sample
 from farfield.simulation.recording import record
 from farfield.training.report import TrainingReport
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from _report import SHARED_REAL, header
 
 from farfield.metrics import Bootstrap, DdsSettings, evaluate_dds
-from farfield.metrics.reading import read
+from farfield.metrics.box_files import read
 
 TRACKING = SHARED_REAL / "kitti_tracking"
 CHOICES = (

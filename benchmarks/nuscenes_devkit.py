@@ -93,8 +93,8 @@ def random_scene(frames: int, *, seed: int = 2026) -> dict[str, np.ndarray]:
 
 def shared_scene(detections: Path, labels: Path) -> dict[str, np.ndarray]:
     """Cars of the shared files; scores through a sigmoid, as the devkit wants them in (0, 1)."""
+    from farfield.metrics.box_files import read
     from farfield.metrics.frames import flatten, frame_order
-    from farfield.metrics.reading import read
 
     found = read(detections, labels, format="kitti-tracking")
     keys = sorted(found.annotations, key=frame_order)

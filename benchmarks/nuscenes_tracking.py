@@ -86,7 +86,7 @@ def _boxes(kind: Any, place: np.ndarray, names: np.ndarray, score: np.ndarray | 
 
 def kitti_scene() -> Any:
     """PointRCNN's cars tracked by the preset ``ab3dmot``; scores through a sigmoid."""
-    from farfield.metrics.reading import read
+    from farfield.metrics.box_files import read
     from farfield.tracking import track
 
     found = read(SHARED / "detections_pointrcnn_car", SHARED / "label", format="kitti-tracking")

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from farfield.frame.drive import Key
+from farfield.metrics.box_files import read
 from farfield.metrics.detections import Detections
-from farfield.metrics.reading import read
 from farfield.tracking import track
 from farfield.tracking.offline import smooth_tracks, with_track_score
 

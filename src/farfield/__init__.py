@@ -40,7 +40,7 @@ if _typing.TYPE_CHECKING:
     from farfield.frame import Annotation, Cloud, Frame, Sensor, merge_clouds, transform_frame
     from farfield.geometry.boxes import Boxes
     from farfield.metrics.detections import Detections
-    from farfield.metrics.protocol import protocol as register_protocol
+    from farfield.metrics.detections import protocol as register_protocol
     from farfield.metrics.result import Result
     from farfield.tracking import track
 
@@ -63,7 +63,7 @@ _HOMES = {
     "open_dataset": "farfield.api:open_dataset",
     "register_dataset": "farfield.datasets.formats:dataset",
     "register_detector": "farfield.detectors.spec:detector",
-    "register_protocol": "farfield.metrics.protocol:protocol",
+    "register_protocol": "farfield.metrics.detections:protocol",
     "score": "farfield.api:score",
     "show": "farfield.api:show",
     "simulate": "farfield.api:simulate",

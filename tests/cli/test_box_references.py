@@ -17,7 +17,7 @@ from farfield.errors import ConfigError, FileFormatError
 from farfield.evaluation import in_coordinates
 from farfield.files.boxes_csv import parse_boxes_csv, read_boxes_csv, write_boxes_csv
 from farfield.frame import Annotation, Boxes
-from farfield.metrics.reading import read, read_predictions
+from farfield.metrics.box_files import read, read_predictions
 from farfield.studio.showing.predictions import read_set
 from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 

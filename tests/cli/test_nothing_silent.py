@@ -18,7 +18,7 @@ from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation import detect, detections_from_boxes
 from farfield.frame import Annotation, Boxes, Cloud, Frame
 from farfield.inspection.doctor import examine
-from farfield.metrics.oddities import meant_by
+from farfield.metrics.sanity import meant_by
 
 CARS = np.array([[12.0, 0.0, -1.2], [25.0, 4.0, -1.2], [40.0, -5.0, -1.2]])
 

@@ -12,7 +12,7 @@ from farfield.datasets.folder import write_boxes
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.kitti import read_labels
 from farfield.frame import Boxes
-from farfield.metrics.reading import read_predictions
+from farfield.metrics.box_files import read_predictions
 
 DETECTOR = "pointpillars-cirrus-sim"
 CARS = ((12.0, 0.0), (25.0, 4.0), (40.0, -5.0))

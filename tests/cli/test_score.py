@@ -124,7 +124,7 @@ def test_predictions_in_frames_without_labels_are_false(tmp_path: Path) -> None:
 
 
 def test_the_camera_axes_are_turned(tmp_path: Path) -> None:
-    from farfield.metrics.reading import read
+    from farfield.metrics.box_files import read
 
     (tmp_path / "l.txt").write_text(LABEL.format(frame=0, x=2.0, z=30.0) + "\n")
     (box,) = read(tmp_path / "l.txt", tmp_path / "l.txt", format="kitti-tracking").annotated.values()

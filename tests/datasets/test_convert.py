@@ -17,7 +17,7 @@ from farfield.files.clouds import write_bin
 from farfield.frame import Boxes
 from farfield.frame.cloud import CACHE_FOLDER, cache_path
 from farfield.jobs import run
-from farfield.metrics import reading
+from farfield.metrics import box_files
 
 
 def test_cirrus_to_kitti_and_back_keeps_everything_that_kitti_holds(street_root, tmp_path):
@@ -118,7 +118,7 @@ def test_boxes_csv_holds_velocities_where_a_frame_knows_them(tmp_path):
     convert(open_dataset(tmp_path), tmp_path / "labels.csv", to="boxes-csv")
     got = read_boxes_csv(tmp_path / "labels.csv")
     np.testing.assert_array_equal(got.velocity_m_s, [[np.nan] * 3, [3.0, -1.0, 0.5]])
-    side = reading.read(tmp_path / "labels.csv", tmp_path / "labels.csv")
+    side = box_files.read(tmp_path / "labels.csv", tmp_path / "labels.csv")
     (key,) = [key for key in side.boxes if key[1] == "b"]
     np.testing.assert_array_equal(side.boxes[key].velocity_m_s, [[3.0, -1.0, 0.5]])
     np.testing.assert_array_equal(side.annotations[key].boxes.velocity_m_s, [[3.0, -1.0, 0.5]])

@@ -12,7 +12,7 @@ from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import parse_boxes_csv
 from farfield.frame import Boxes
 from farfield.inspection.doctor import DoctorReport, examine
-from farfield.metrics.reading import read
+from farfield.metrics.box_files import read
 
 CAR = Boxes(
     centre_m=np.array([[9.0, 2.0, -1.0]]), size_m=np.array([[4.2, 1.9, 1.6]]), yaw_rad=np.zeros(1), label=["vehicle"]

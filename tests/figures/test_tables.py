@@ -8,6 +8,7 @@ from farfield.figures import report_text
 from farfield.figures.tables import heading, range_name, rows
 from farfield.geometry.boxes import Boxes
 from farfield.metrics import PROTOCOLS
+from farfield.metrics.detections import presentation_of
 
 DDS = PROTOCOLS["dds"]
 RESULT = {
@@ -48,7 +49,7 @@ def test_rows_carry_intervals_and_order() -> None:
 
 def test_headline_and_scope_by_hand() -> None:
     results = {"gaussian": RESULT, "uniform": RESULT}
-    shown = DDS.presentation(RESULT)
+    shown = presentation_of(RESULT)
     assert report_text.headline(results, DDS, shown) == (
         "Overall vehicle detection score (DDS, 1 is perfect): 0.50 (mAP 0.40) on the Gaussian pattern and "
         "0.50 (mAP 0.40) on the uniform pattern."
@@ -79,6 +80,6 @@ def test_annotated_objects_keep_known_counts_only(evaluation: Evaluation) -> Non
 def test_a_headline_of_several_classes_is_named_by_its_figure() -> None:
     protocol = PROTOCOLS["kradar"]
     result = {"label": "vehicle, pedestrian", "figures": {}, "ap": {"vehicle": {"3d": {"0.3": 0.5}}}}
-    presentation = replace(protocol.presentation(result), figures=("ap/vehicle/3d/0.3",))
+    presentation = replace(presentation_of(result), figures=("ap/vehicle/3d/0.3",))
     text = report_text.headline({"os2-64": result}, protocol, presentation)
     assert text.startswith("Overall score (vehicle AP3D 0.3, 100 is perfect): 50.0 on os2-64.")

@@ -11,8 +11,8 @@ from farfield import cli
 from farfield.errors import FileFormatError
 from farfield.files.nuscenes import read_results
 from farfield.geometry.boxes import Boxes
+from farfield.metrics.box_files import read, read_predictions
 from farfield.metrics.detections import Detections
-from farfield.metrics.reading import read, read_predictions
 from farfield.tracking.writing import write_nuscenes_tracks
 
 

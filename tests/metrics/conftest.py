@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from farfield.metrics import Detections
-from farfield.metrics.reading import read
+from farfield.metrics.box_files import read
 
 
 @pytest.fixture(scope="session")

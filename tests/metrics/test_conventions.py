@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.metrics import Bootstrap, score
-from farfield.metrics.conventions import convention_of, convention_text, differing_settings, protocol_family
+from farfield.metrics.comparing import convention_of, convention_text, differing_settings, protocol_family
 
 from .scenes import NO_BOOTSTRAP, random_scene
 

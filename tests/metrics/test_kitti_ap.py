@@ -9,8 +9,8 @@ from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.metrics import Bootstrap, KittiSettings, evaluate_kitti
-from farfield.metrics.kitti.settings import DIFFICULTIES
-from farfield.metrics.recall import sample_thresholds
+from farfield.metrics.kitti.evaluation import DIFFICULTIES
+from farfield.metrics.recall_sampling import sample_thresholds
 
 from .scenes import NO_BOOTSTRAP, ByFrame, as_predictions, boxes, car
 

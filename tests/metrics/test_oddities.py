@@ -9,8 +9,8 @@ import pytest
 from farfield.cli import main
 from farfield.errors import ConfigError
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
-from farfield.metrics.oddities import meant_by
-from farfield.metrics.reading import read
+from farfield.metrics.box_files import read
+from farfield.metrics.sanity import meant_by
 
 Changed = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
 

@@ -8,7 +8,7 @@ import pytest
 from farfield.files.spool import DiskDict
 from farfield.frame import Annotation, Boxes
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
-from farfield.metrics.parts import by_class, by_part, parts, parts_json
+from farfield.metrics.breakdown import by_class, by_part, parts, parts_json
 
 STILL = {"bootstrap": Bootstrap(replicates=0)}
 

@@ -14,7 +14,7 @@ from farfield.errors import ConfigError
 from farfield.metrics import PROTOCOLS, Detections, Protocol, Result, protocol, score
 from farfield.metrics.centre.matching import found_by
 from farfield.metrics.comparing import compare, read_results
-from farfield.metrics.protocol import ForeignProtocol, protocol_of
+from farfield.metrics.detections import ForeignProtocol, protocol_of
 from farfield.testing import check_protocol
 from farfield.testing.protocols import example
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.metrics import PROTOCOLS, Detections
-from farfield.metrics.subject import Subject, labels_fingerprint, region_words, subject_of
+from farfield.metrics.result import Subject, labels_fingerprint, region_words, subject_of
 from farfield.testing.protocols import example
 
 NAMES = ("dds", "nuscenes", "kitti", "kradar", "kradar-compat:old_as_shipped@0.3", "tracking", "nuscenes-tracking")

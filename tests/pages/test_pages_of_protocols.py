@@ -16,7 +16,8 @@ from farfield.evaluation.report_data import annotated_objects
 from farfield.frame import Cloud, Constant, Frame, Sensor
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
 from farfield.metrics.comparing import compare, read_results
-from farfield.metrics.subject import subject_of
+from farfield.metrics.detections import presentation_of
+from farfield.metrics.result import subject_of
 from farfield.pages import evaluation_page
 from farfield.radar.grid import CUBE_SHAPE
 from farfield.testing.protocols import example
@@ -82,7 +83,7 @@ def evaluation_of(name: str) -> Evaluation:
         sensors={cloud: Sensor(kind="radar" if radar else "lidar")},
         load_annotation=Constant(found.annotations[key]),
     )
-    shown = protocol.presentation(result)
+    shown = presentation_of(result)
     view = FrameView(
         frame=frame,
         predictions={cloud: found.boxes[key]},
@@ -132,7 +133,7 @@ def test_a_page_has_the_words_of_its_protocol_alone(name: str, drawn: list[str])
 
 def test_headlines_and_what_they_are_made_of() -> None:
     results = {name: next(iter(evaluation_of(name).results.values())) for name in NAMES}
-    shown = {name: PROTOCOLS[name].presentation(result) for name, result in results.items()}
+    shown = {name: presentation_of(result) for name, result in results.items()}
     assert shown["dds"].main == "dds/0/dds"
     assert shown["dds"].beside == "dds/0/map"
     assert shown["nuscenes"].main == "map"
@@ -140,7 +141,7 @@ def test_headlines_and_what_they_are_made_of() -> None:
     assert shown["kitti"].main == "ap/3d_r40/moderate"
     assert shown["kradar"].main == "ap/vehicle/3d/0.3"
     for name, result in results.items():
-        assert all(panel.lines for panel in PROTOCOLS[name].curves(result)[:1]), name
+        assert all(panel.lines for panel in PROTOCOLS[name].presenter.curves(result)[:1]), name
 
 
 def test_kradar_has_its_tables_by_weather_first_and_its_curves() -> None:

@@ -88,7 +88,7 @@ def _film(
     from farfield.cli._progress import hands as bulk
     from farfield.datasets import open_dataset
     from farfield.evaluation import in_coordinates
-    from farfield.metrics.reading import read_predictions
+    from farfield.metrics.box_files import read_predictions
     from farfield.pages.film import FilmSettings, drive_named, make_film
 
     given = None if predictions is None else read_predictions(predictions[0], format=predictions[1])

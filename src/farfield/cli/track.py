@@ -70,7 +70,7 @@ def run(
     from farfield.evaluation import in_coordinates
     from farfield.figures.style import check_picture
     from farfield.figures.trails import write_trails
-    from farfield.metrics.reading import read_predictions
+    from farfield.metrics.box_files import read_predictions
     from farfield.tracking import join_settings, join_tracks, track, with_options
     from farfield.tracking import preset as preset_of
     from farfield.tracking.offline import smooth_tracks, with_track_score

@@ -23,7 +23,7 @@ from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes
 from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run, values
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
-from farfield.metrics.subject import digest_of
+from farfield.metrics.result import digest_of
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 _MEMORY_BYTES = 1_500_000_000  # that a process with torch and a detector's feature maps needs

@@ -18,9 +18,9 @@ from farfield.frame import Boxes, Frame, Key
 from farfield.frame.provenance import environment
 from farfield.jobs import JobOptions
 from farfield.metrics import PROTOCOLS, Bootstrap, Protocol
-from farfield.metrics.detections import Detections
+from farfield.metrics.breakdown import by_class, by_part, mean_of_classes, parts_json
+from farfield.metrics.detections import Detections, presentation_of
 from farfield.metrics.frames import BoxesByFrame
-from farfield.metrics.parts import by_class, by_part, mean_of_classes, parts_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +157,7 @@ def score_cloud(detections: Detections, protocol: Protocol, options: EvaluationO
         detections.boxes,
         detections.annotated,
         labels=scored_labels({detections.cloud or "": tree}),
-        finding=protocol.presentation(tree).finding,
+        finding=presentation_of(tree, protocol).finding,
         kind=kind,
     )
     timing = {"frames": len(detections.ms), "median_ms": round(median_ms(detections), 1)} if detections.ms else {}

@@ -11,9 +11,9 @@ from farfield.datasets.memory import in_memory
 from farfield.errors import ConfigError
 from farfield.evaluation.detecting import check_new_key, label_facts, points_in_boxes, with_point_count
 from farfield.frame import Annotation, Boxes, Frame, Key
+from farfield.metrics.box_files import read, read_predictions
 from farfield.metrics.detections import Detections
-from farfield.metrics.oddities import oddities
-from farfield.metrics.reading import read, read_predictions
+from farfield.metrics.sanity import sanity_warnings
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -87,7 +87,7 @@ def read_detections(
     Args:
         predictions: File, or folder of files, of predicted boxes.
         labels: File, or folder of files of equal stems, of annotated boxes; or a data set, or its folder.
-        format: As of :func:`farfield.metrics.reading.read`; a data set is looked for with ``"boxes-csv"`` alone.
+        format: As of :func:`farfield.metrics.box_files.read`; a data set is looked for with ``"boxes-csv"`` alone.
         reference: Coordinates in which boxes stand whose files do not name them.
 
     Raises:
@@ -106,8 +106,8 @@ def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
     """Predictions with what a data set's frames have annotated, seen in the predictions' coordinates.
 
     Args:
-        predictions: Boxes as :func:`farfield.metrics.reading.read_predictions` gives them. Where they name no sequence
-            and the data set has one alone, it is theirs.
+        predictions: Boxes as :func:`farfield.metrics.box_files.read_predictions` gives them. Where they name no
+            sequence and the data set has one alone, it is theirs.
         data: The data set.
 
     Raises:
@@ -128,7 +128,7 @@ def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
         notes.append(f"predictions name no sequence: their frames are taken for those of {name!r}, the data's only one")
         boxes = {(name, frame_id): predicted for (_, frame_id), predicted in boxes.items()}
     detections = detections_from_boxes(boxes, in_coordinates(data, reference))
-    warnings = oddities(detections.boxes, detections.annotated)
+    warnings = sanity_warnings(detections.boxes, detections.annotated)
     return replace(detections, notes=(*notes, *detections.notes, *warnings))
 
 

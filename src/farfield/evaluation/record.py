@@ -72,7 +72,7 @@ class Evaluation:
         frames: Frames to show.
         objects: Annotated objects by result name, see :func:`farfield.evaluation.report_data.annotated_objects`.
         parts: Figures by condition and sector and rows of all classes, by result name, see
-            :func:`farfield.metrics.parts.parts_json` and :func:`farfield.metrics.parts.by_class`.
+            :func:`farfield.metrics.breakdown.parts_json` and :func:`farfield.metrics.breakdown.by_class`.
         title: Title of the report.
         tables: Table of each result, as ``farfield score`` prints it; not saved.
         timing: What the clock measured, by result name: ``frames`` and ``median_ms``; not saved, so that equal

@@ -20,10 +20,8 @@ from farfield.evaluation.views import as_trained, suitable_clouds
 from farfield.frame import Annotation, Boxes, Key
 from farfield.frame.provenance import environment, is_simulated
 from farfield.jobs import JobOptions
-from farfield.metrics import PROTOCOLS
-from farfield.metrics.detections import Detections
-from farfield.metrics.result import at, value_at
-from farfield.metrics.subject import subject_of
+from farfield.metrics.detections import Detections, presentation_of
+from farfield.metrics.result import at, subject_of, value_at
 from farfield.vocabulary.kradar import REGIONS_M
 
 PROTOCOL, REGION, LABEL = "kradar", "narrow", "vehicle"
@@ -85,7 +83,7 @@ def evaluate_weathers(
             merged.boxes,
             merged.annotated,
             labels=(LABEL,),
-            finding=PROTOCOLS[PROTOCOL].presentation(results[cloud]).finding,
+            finding=presentation_of(results[cloud]).finding,
             kind=detector.info.sensor or "",
         )
     infos = [detector.info for detector in chosen]

@@ -10,8 +10,8 @@ from farfield.figures.birds_eye import RANGES_M, draw_birdseye
 from farfield.figures.report_text import pattern_title
 from farfield.figures.style import ANNOTATED, INK, MUTED, PATTERNS, PREDICTED, THRESHOLDS, house_style, new_figure
 from farfield.frame import Cloud
+from farfield.metrics.detections import protocol_of
 from farfield.metrics.presenting import CurvePanel
-from farfield.metrics.protocol import protocol_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,9 @@ def precision_recall(results: Mapping[str, Mapping[str, Any]]) -> "Figure":
     Args:
         results: Result JSON by name.
     """
-    drawn = [(name, panel) for name, result in results.items() for panel in protocol_of(result).curves(result)]
+    drawn = [
+        (name, panel) for name, result in results.items() for panel in protocol_of(result).presenter.curves(result)
+    ]
     columns = 2 if len(drawn) > 1 else 1
     with house_style():
         rows = max(1, -(-len(drawn) // columns))

@@ -5,9 +5,9 @@ from typing import Any
 
 from farfield.evaluation.report_data import counts, figure, part_names
 from farfield.figures.tables import Results, range_name
+from farfield.metrics.detections import Protocol
 from farfield.metrics.presenting import BASICS, Presentation, Words
-from farfield.metrics.protocol import Protocol
-from farfield.metrics.subject import Subject, subject_of
+from farfield.metrics.result import Subject, subject_of
 from farfield.vocabulary.patterns import PATTERN_NOTES
 
 _SENSORS: Mapping[str, tuple[str, str]] = {
@@ -45,7 +45,7 @@ def headline(results: Results, protocol: Protocol, presentation: Presentation) -
     if not known:
         return "Nothing is annotated in the region that counts, so there is no score."
     label = next((label for result in results.values() if (label := _label(result))), "object")
-    unit = protocol.unit(score)
+    unit = protocol.presenter.unit(score)
     reached = _enumerated(
         [
             _value(value, unit) + _beside(results[n], protocol, presentation) + f" on {_short(n)}"
@@ -54,7 +54,7 @@ def headline(results: Results, protocol: Protocol, presentation: Presentation) -
     )
     perfect = {"": ", 1 is perfect", "%": ", 100 is perfect"}.get(unit, "")
     of = "" if "," in label else f"{label} detection "  # of several classes, the score's name says which
-    first = f"Overall {of}score ({protocol.title(score)}{perfect}): {reached}."
+    first = f"Overall {of}score ({protocol.presenter.title(score)}{perfect}): {reached}."
     best = max(known, key=lambda name: known[name])
     by_range = [(range_name(part), figure(results[best], score, part=part)) for part in part_names(results[best])]
     falls = [f"{_value(value, unit)} from {name}" for name, value in by_range if value is not None]
@@ -75,7 +75,9 @@ def _value(value: float, unit: str) -> str:
 def _beside(result: Mapping[str, Any], protocol: Protocol, presentation: Presentation) -> str:
     value = figure(result, presentation.beside) if presentation.beside else None
     name = presentation.beside
-    return "" if value is None else f" ({protocol.title(name)} {_value(value, protocol.unit(name))})"
+    return (
+        "" if value is None else f" ({protocol.presenter.title(name)} {_value(value, protocol.presenter.unit(name))})"
+    )
 
 
 def subjects(results: Results) -> list[str]:

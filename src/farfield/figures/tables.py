@@ -6,8 +6,8 @@ from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.evaluation.report_data import counts, figure, interval, part_names
-from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
-from farfield.metrics.protocol import Protocol, protocol_of
+from farfield.metrics.comparing import convention_text, differing_settings, protocol_family
+from farfield.metrics.detections import Protocol, presentation_of, protocol_of
 from farfield.metrics.result import at, table, value_at
 from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.published_tables import KRADAR_TABLES
@@ -79,8 +79,8 @@ def range_name(part: str) -> str:
 
 def heading(protocol: Protocol, name: str) -> str:
     """Head of a figure's column: its title and its unit."""
-    unit = protocol.unit(name)
-    return protocol.title(name) + (f" ({unit})" if unit else "")
+    unit = protocol.presenter.unit(name)
+    return protocol.presenter.title(name) + (f" ({unit})" if unit else "")
 
 
 def rows(results: Results, names: Sequence[str], protocol: Protocol) -> list[ScoreTableRow]:
@@ -104,7 +104,9 @@ def _score_row(
 ) -> ScoreTableRow:
     number = counts(result, part=part)
     cells = {
-        each: TableCell(figure(result, each, part=part), interval(result, each, part=part), protocol.unit(each))
+        each: TableCell(
+            figure(result, each, part=part), interval(result, each, part=part), protocol.presenter.unit(each)
+        )
         for each in names
     }
     return ScoreTableRow(name, part, number.get("annotated"), number.get("predictions"), cells)
@@ -215,7 +217,10 @@ def _condition(
         title=_SEEN_BY.get(value, value) if kind == "visibility" else value.replace("_", " "),
         result=result,
         first=first,
-        cells={name: TableCell(value_at(figures, name), _interval(drawn, name), protocol.unit(name)) for name in names},
+        cells={
+            name: TableCell(value_at(figures, name), _interval(drawn, name), protocol.presenter.unit(name))
+            for name in names
+        },
         annotated=_integer(counts, "annotated"),
         frames=_integer(counts, "frames"),
     )
@@ -256,7 +261,7 @@ def _class_row(row: Any, title: str, result: str, shown: Sequence[str], protocol
         title=title,
         result=result,
         first=first,
-        cells={each: TableCell(_number(known.get(each)), None, protocol.unit(each)) for each in shown},
+        cells={each: TableCell(_number(known.get(each)), None, protocol.presenter.unit(each)) for each in shown},
         annotated=_integer(row, "annotated"),
         why=str(at(row, ("why",)) or "")[:80].replace("_", " "),
     )
@@ -293,8 +298,8 @@ def _number(value: Any) -> float | None:
 
 def _main_figures(protocol: Protocol, result: Mapping[str, Any]) -> list[str]:
     """The main figure and what belongs beside it; of several classes or measures all that stand side by side."""
-    stated = protocol.presentation(result)
-    if protocol.several_classes or protocol.per_cent:
+    stated = presentation_of(result)
+    if protocol.several_classes or protocol.presenter.per_cent:
         return list(stated.figures)
     return [name for name in (stated.main, stated.beside) if name]
 
@@ -327,7 +332,7 @@ def _cells(protocol: Protocol, row: Mapping[str, Any], names: list[str]) -> list
     if row.get("why"):
         return [str(row["why"]).replace("_", " "), *[""] * (len(names) - 1)]
     values = [(row["figures"] or {}).get(name) for name in names]
-    units = [protocol.unit(name) for name in names]
+    units = [protocol.presenter.unit(name) for name in names]
     return [NOTHING if value is None else figure_text(value, unit) for value, unit in zip(values, units, strict=True)]
 
 

@@ -8,18 +8,20 @@ from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.detections import Detections
+from farfield.metrics.detections import PROTOCOLS, Detections, Protocol, protocol
 from farfield.metrics.frames import BoxesByFrame, check_frames
-from farfield.metrics.protocol import PROTOCOLS, Protocol, protocol
+from farfield.metrics.presenting import Presenter
 from farfield.metrics.result import Result
 
 if TYPE_CHECKING:
     from farfield.metrics.centre.dds import DdsResult, DdsSettings, evaluate_dds
     from farfield.metrics.centre.nuscenes import NuScenesResult, NuScenesSettings, evaluate_nuscenes
-    from farfield.metrics.kitti.evaluation import KittiResult, evaluate_kitti
-    from farfield.metrics.kitti.settings import KittiSettings
+    from farfield.metrics.kitti.evaluation import KittiResult, KittiSettings, evaluate_kitti
     from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar
     from farfield.metrics.kradar.settings import KRadarSettings, kradar_settings
+    from farfield.metrics.tracking.nuscenes import NuScenesTrackingResult, NuScenesTrackingSettings
+    from farfield.metrics.tracking.protocol import TrackingResult
+    from farfield.metrics.tracking.scene import TrackingSettings
 
 __all__ = [
     "PROTOCOLS",
@@ -33,8 +35,13 @@ __all__ = [
     "KittiSettings",
     "NuScenesResult",
     "NuScenesSettings",
+    "NuScenesTrackingResult",
+    "NuScenesTrackingSettings",
+    "Presenter",
     "Protocol",
     "Result",
+    "TrackingResult",
+    "TrackingSettings",
     "evaluate_dds",
     "evaluate_kitti",
     "evaluate_kradar",
@@ -45,22 +52,24 @@ __all__ = [
     "scored_labels",
 ]
 
-_HOMES = {
+_MODULES = {
     "centre.dds": ("DdsResult", "DdsSettings", "evaluate_dds"),
     "centre.nuscenes": ("NuScenesResult", "NuScenesSettings", "evaluate_nuscenes"),
-    "kitti.evaluation": ("KittiResult", "evaluate_kitti"),
-    "kitti.settings": ("KittiSettings",),
+    "kitti.evaluation": ("KittiResult", "KittiSettings", "evaluate_kitti"),
     "kradar.evaluation": ("KRadarResult", "evaluate_kradar"),
     "kradar.settings": ("KRadarSettings", "kradar_settings"),
+    "tracking.nuscenes": ("NuScenesTrackingResult", "NuScenesTrackingSettings"),
+    "tracking.protocol": ("TrackingResult",),
+    "tracking.scene": ("TrackingSettings",),
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Import what belongs to one protocol when it is asked for."""
-    if name not in _HOME_OF:
+    """Import what belongs to one protocol when it is used."""
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
 
 
 def scored_labels(annotations: BoxesByFrame, protocol: str = "dds", **options: Any) -> tuple[str, ...]:
@@ -94,7 +103,7 @@ def score(
     Raises:
         ConfigError: If the protocol, a setting or the label is unknown, or frames do not pair.
     """
-    given = {key: a if isinstance(a, Annotation) else Annotation(boxes=a) for key, a in annotations.items()}
-    found = Detections(boxes=predictions, annotations=given, conditions=conditions or {})
-    check_frames(predictions, found.annotated)
-    return found.score(protocol, **settings)
+    full = {key: a if isinstance(a, Annotation) else Annotation(boxes=a) for key, a in annotations.items()}
+    detections = Detections(boxes=predictions, annotations=full, conditions=conditions or {})
+    check_frames(predictions, detections.annotated)
+    return detections.score(protocol, **settings)

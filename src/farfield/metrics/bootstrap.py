@@ -1,7 +1,13 @@
 """Bootstrap intervals over sequences: what a score would have been, had other sequences been driven.
 
-Frames of one drive resemble each other, so whole sequences are drawn with replacement; the frames of a single sequence
-are drawn only where there is but one. A replicate is a vector of weights, one a group, so nothing is matched again.
+Frames of one drive resemble each other, so whole sequences are drawn with replacement (Efron & Tibshirani, 1993, ch. 6
+and 13); the frames of a single sequence are drawn only where there is but one. A draw is a vector of weights, how often
+each of the g groups came, so nothing is matched again. A protocol gives its figures as functions of rows of weights:
+
+    figures(weights of shape (r, g)) -> r values of each figure, NaN where nothing is annotated under a row's weights
+
+The result is the row in which each weight is 1; the interval of a figure holds its values under the drawn rows between
+the quantiles (1 - level) / 2 and (1 + level) / 2.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,7 +17,12 @@ import numpy as np
 from jaxtyping import Float
 
 Statistics = dict[str, float | None]
-Many = Mapping[str, Float[np.ndarray, " replicates"]]
+Draws = Mapping[str, Float[np.ndarray, " r"]]
+"""Figures by name, a value for each row of weights; NaN where nothing is annotated."""
+
+Interval = list[float] | None
+WeightedFigures = Callable[[Float[np.ndarray, "r g"]], Draws]
+"""Figures of one part of a result (all ranges, a range bin, a condition) as a function of rows of group weights."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +45,13 @@ class Weighted:
     """The figures of a protocol as functions of how often each group of frames was drawn.
 
     Args:
-        parts: By part (``"overall"``, ``"0-70"``, ``"weather/fog"``) what gives its figures under group weights; with
-            every weight 1 they are those of the result, but for rounding.
+        parts: By part (``"overall"``, ``"0-70"``, ``"weather/fog"``) what gives its figures under rows of group
+            weights, shape (r, g); where every weight is 1 they are those of the result.
         groups: Group of each annotated frame, in the order of :func:`farfield.metrics.frames.frame_order`.
         grouped_by: ``"sequences"``, or ``"frames"`` where there is only one sequence.
     """
 
-    parts: Mapping[str, Callable[[Float[np.ndarray, " groups"]], Statistics]]
+    parts: Mapping[str, WeightedFigures]
     groups: tuple[int, ...]
     grouped_by: str
 
@@ -50,54 +61,50 @@ def replicate_weights(groups: int, replicates: int, rng: np.random.Generator) ->
     return rng.multinomial(groups, np.full(groups, 1.0 / groups), size=replicates).astype(np.float64)
 
 
-def intervals(
-    statistics: Callable[[Float[np.ndarray, " groups"]], Statistics],
-    groups: int,
-    settings: Bootstrap,
-    *,
-    many: Callable[[Float[np.ndarray, "replicates groups"]], Many] | None = None,
-) -> dict[str, list[float] | None]:
-    """Percentile interval of every statistic.
+def point_and_intervals(
+    figures: Callable[[Float[np.ndarray, "r g"]], Mapping[str, Draws]], groups: int, settings: Bootstrap
+) -> tuple[dict[str, Statistics], dict[str, dict[str, Interval]]]:
+    """The figures of a result and their percentile intervals, by part and name.
 
     Args:
-        statistics: Named figures under given group weights; None where nothing was annotated among them.
+        figures: Figures by part and name under rows of group weights.
         groups: Number of groups.
         settings: How to draw.
-        many: The same figures under each row of weights, NaN for None, where that is faster than one by one.
 
     Returns:
-        [low, high] by name; None where fewer than two groups or replicates allow no interval.
+        Figures under weights of 1, None where nothing is annotated; and [low, high] of each, None where fewer than two
+        groups or draws with a value allow no interval.
     """
-    if groups < 2 or settings.replicates < 2:
-        return dict.fromkeys(statistics(np.ones(groups)))
-    weights = replicate_weights(groups, settings.replicates, np.random.default_rng(settings.seed))
-    drawn = _one_by_one(statistics, weights) if many is None else _all_at_once(many, weights)
-    tail = (1.0 - settings.level) / 2
-    return {
-        name: [float(v) for v in np.quantile(values, [tail, 1 - tail])] if len(values) > 1 else None
-        for name, values in drawn.items()
+    weights = np.ones((1, groups))
+    if groups >= 2 and settings.replicates >= 2:
+        drawn = replicate_weights(groups, settings.replicates, np.random.default_rng(settings.seed))
+        weights = np.concatenate([weights, drawn])
+    values = {part: dict(named) for part, named in evaluate_once(figures, weights).items()}
+    point = {part: {name: _or_none(rows[0]) for name, rows in named.items()} for part, named in values.items()}
+    intervals = {
+        part: {name: percentile_interval(rows[1:], settings.level) for name, rows in named.items()}
+        for part, named in values.items()
     }
+    return point, intervals
 
 
-def _one_by_one(
-    statistics: Callable[[Float[np.ndarray, " groups"]], Statistics], weights: Float[np.ndarray, "replicates groups"]
-) -> dict[str, list[float]]:
-    """The values of each figure that are known, in the order of the replicates."""
-    drawn: dict[str, list[float]] = {}
-    known: dict[bytes, Statistics] = {}  # few groups are drawn alike again and again: of two in three ways only
-    for weight in weights:
-        key = weight.tobytes()
-        if key not in known:
-            known[key] = statistics(weight)
-        for name, value in known[key].items():
-            drawn.setdefault(name, []).extend([] if value is None else [value])
-    return drawn
+def evaluate_once(
+    figures: Callable[[Float[np.ndarray, "r g"]], Mapping[str, Draws]], weights: Float[np.ndarray, "r g"]
+) -> dict[str, dict[str, Float[np.ndarray, " r"]]]:
+    """Figures under rows of weights, each different row evaluated once: few groups are drawn alike again and again."""
+    different, index = np.unique(weights, axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    return {part: {name: values[index] for name, values in named.items()} for part, named in figures(different).items()}
 
 
-def _all_at_once(
-    many: Callable[[Float[np.ndarray, "replicates groups"]], Many], weights: Float[np.ndarray, "replicates groups"]
-) -> dict[str, list[float]]:
-    """The same from figures of all replicates that differ."""
-    different, place = np.unique(weights, axis=0, return_inverse=True)
-    found = {name: values[place.reshape(-1)] for name, values in many(different).items()}
-    return {name: values[~np.isnan(values)].tolist() for name, values in found.items()}
+def percentile_interval(values: Float[np.ndarray, " r"], level: float, *, least: int = 2) -> Interval:
+    """[low, high] round the middle share ``level`` of the values; None below ``least`` that are not NaN."""
+    values = values[~np.isnan(values)]
+    if len(values) < least:
+        return None
+    tail = (1.0 - level) / 2
+    return [float(bound) for bound in np.quantile(values, [tail, 1 - tail])]
+
+
+def _or_none(value: float | np.floating) -> float | None:
+    return None if np.isnan(value) else float(value)

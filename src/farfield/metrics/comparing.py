@@ -9,10 +9,8 @@ from typing import Any
 
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes
-from farfield.metrics.conventions import convention_text, differing_settings, protocol_family
-from farfield.metrics.protocol import Protocol, protocol_of
-from farfield.metrics.result import at, figure_names, table, value_at
-from farfield.metrics.subject import Subject, subject_of
+from farfield.metrics.detections import Protocol, protocol_of
+from farfield.metrics.result import Subject, at, figure_names, subject_of, table, value_at
 from farfield.vocabulary.conditions import CONDITIONS
 
 Tree = Mapping[str, Any]
@@ -212,7 +210,7 @@ def _cell(entry: ComparedResult, column: Column) -> str:
 
 
 def _unit(entry: ComparedResult) -> str:
-    return ", per cent" if entry.protocol.per_cent else ""
+    return ", per cent" if entry.protocol.presenter.per_cent else ""
 
 
 def _footer(members: list[ComparedResult], letters: Mapping[str, str], *, by_range: bool) -> str:
@@ -278,7 +276,7 @@ def _columns(members: list[ComparedResult], figures: Sequence[str], by: str) -> 
         if not any(name.split("/")[-1] in _node(tree, name) for tree in trees):
             present = [leaf.removeprefix(prefix) for tree in trees for leaf in _figures_of(tree, prefix)]
             raise ConfigError(f"figures: expected some of {', '.join(dict.fromkeys(present))}; got {name!r}")
-    titles = {name: protocol.title(name.removeprefix(prefix)) for name in wanted}
+    titles = {name: protocol.presenter.title(name.removeprefix(prefix)) for name in wanted}
     if by == "none":
         return [("", [Column(title, name) for name, title in titles.items()])]
     return [(f", {title}", [Column("total", name), *_part_columns(trees, name, by)]) for name, title in titles.items()]
@@ -310,3 +308,39 @@ def _figures_of(tree: Tree, prefix: str) -> list[str]:
 def _node(tree: Tree, figure: str) -> Mapping[str, Any]:
     node = at(tree, figure.split("/")[:-1])
     return node if isinstance(node, Mapping) else {}
+
+
+# MERGED """Which results may stand in one column: those whose settings agree in all that their figures depend on."""
+
+
+def protocol_family(result: Tree) -> str:
+    """The protocol without its variant: figures of two families never share a column.
+
+    >>> protocol_family({"protocol": "kradar-compat:old_as_shipped"})
+    'kradar'
+    """
+    protocol = protocol_of(result)
+    return protocol.family or str(protocol)
+
+
+def convention_of(result: Tree, *, by_range: bool = False) -> dict[str, Any]:
+    """The settings on which a result's figures depend, by its protocol.
+
+    Args:
+        result: Result JSON, as ``farfield score --json`` writes it.
+        by_range: Whether figures of range bins are looked at, so that the bins matter.
+    """
+    return protocol_of(result).depends_on(result.get("settings") or {}, by_range=by_range)
+
+
+def differing_settings(a: Tree, b: Tree, *, by_range: bool = False) -> dict[str, tuple[Any, Any]]:
+    """Settings in which two results' conventions differ, with both values; None where one lacks the setting."""
+    here, there = convention_of(a, by_range=by_range), convention_of(b, by_range=by_range)
+    names = [*here, *(name for name in there if name not in here)]
+    return {name: (here.get(name), there.get(name)) for name in names if here.get(name) != there.get(name)}
+
+
+def convention_text(result: Tree, *, by_range: bool = False) -> str:
+    """The convention as one line of ``name=value`` pairs, in the order in which its protocol prints them."""
+    settings = result.get("settings") or {}
+    return f"{result.get('protocol')}: " + protocol_of(result).convention_text(settings, by_range=by_range)

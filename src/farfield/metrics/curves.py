@@ -1,7 +1,27 @@
-"""Precision-recall curves and the figures read off them, for one ranking and any weights of its groups.
+"""Precision-recall curves of one ranking under many weights of its groups, and the figures read off them.
 
-Weights make the bootstrap cheap: a sequence drawn twice weighs double, so that a replicate is one weighted pass over
-the same matches. With unit weights the figures are those of the nuScenes devkit (``calc_ap``, ``calc_tp``).
+A ranking holds predictions by falling score, each with whether it matches an annotated box and with the group (drive)
+that it is of. Under weights w of the groups the k-th match, at place h_k of the ranking, stands at
+
+    recall    r_k = sum of w over the first k matches / W,  where W = sum over groups of w times the annotated boxes
+    precision p_k = sum of w over the first k matches / sum of w over the first h_k predictions
+
+Precision p(r) and confidence c(r) are interpolated linearly along the ranking at recalls 0, 0.01 ... 1; beyond the last
+recall they are 0. Average precision, by ``method``:
+
+    nuscenes    mean over r = 0.11 ... 1 of max(p(r) - 0.1, 0), over 0.9       (calc_ap of the nuScenes devkit)
+    interp101   mean of p(r) over r = 0, 0.01 ... 1
+    area        sum over k of p_k (r_k - r_{k-1})
+    voc         the same with p_k replaced by the largest p of k and later matches (PASCAL VOC)
+
+The mean error of the matches, by ``method``, is 1, the worst, where nothing is matched:
+
+    nuscenes    the weighted running mean of the errors, interpolated at c(0.11) ... c(highest r reached) and averaged;
+                1 if recall 0.11 is not reached (calc_tp of the nuScenes devkit)
+    tp_mean     the weighted mean over all matches
+
+A bootstrap takes the same curve under hundreds of weights: every array below has one row for each row of weights. The
+result itself is the row in which each weight is 1. Where no weight falls on an annotated box a figure is NaN.
 """
 
 from dataclasses import dataclass
@@ -13,6 +33,7 @@ from jaxtyping import Bool, Float, Int
 RECALL = np.linspace(0.0, 1.0, 101)
 FLOOR = 0.1  # nuScenes: recall and precision below it do not count
 FIRST = 11  # first of the 101 recalls above the floor
+_MAX_ELEMENTS = 2_000_000  # of one array: weights are taken in chunks of rows
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,122 +69,163 @@ class Ranking:
 
     def sampled(self) -> dict[str, list[float]] | None:
         """Recall, precision and confidence at 101 recalls as JSON values; None where nothing is annotated."""
-        curve = weighted_curve(self)
-        if curve is None:
+        curves = weighted_curves(self, np.ones((1, len(self.annotated))))
+        if not curves.has_annotated[0]:
             return None
-        values = {"recall": RECALL, "precision": curve.precision, "confidence": curve.confidence}
+        values = {"recall": RECALL, "precision": curves.precision[0], "confidence": curves.confidence[0]}
         return {name: value.tolist() for name, value in values.items()}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Curve:
-    """A weighted precision-recall curve: at the matches, and interpolated at 101 recalls.
+class Curves:
+    """Weighted precision-recall curves of one ranking, a row for each row of weights.
 
     Args:
-        weight: Weight of each match, shape (h,).
-        matched: Running sum of ``weight``, shape (h,).
-        annotated: Weighted number of annotated boxes.
-        precision_at_match: Precision at each match, shape (h,).
+        weight: Weight of each match, shape (r, h).
+        matched: Running sum of ``weight`` along a row, shape (r, h).
+        annotated: Weighted number of annotated boxes, shape (r,).
+        precision_at_match: Precision at each match, shape (r, h).
         match_confidence: Score of each match, shape (h,).
-        precision: Interpolated at recalls 0, 0.01 ... 1; 0 beyond the recall reached, shape (101,).
-        confidence: Likewise, shape (101,).
+        precision: Interpolated at recalls 0, 0.01 ... 1; 0 beyond the recall reached, shape (r, 101).
+        confidence: Likewise, shape (r, 101).
     """
 
-    weight: Float[np.ndarray, " h"]
-    matched: Float[np.ndarray, " h"]
-    annotated: float
-    precision_at_match: Float[np.ndarray, " h"]
+    weight: Float[np.ndarray, "r h"]
+    matched: Float[np.ndarray, "r h"]
+    annotated: Float[np.ndarray, " r"]
+    precision_at_match: Float[np.ndarray, "r h"]
     match_confidence: Float[np.ndarray, " h"]
-    precision: Float[np.ndarray, "101"]
-    confidence: Float[np.ndarray, "101"]
+    precision: Float[np.ndarray, "r 101"]
+    confidence: Float[np.ndarray, "r 101"]
+
+    @property
+    def has_annotated(self) -> Bool[np.ndarray, " r"]:
+        """Whether anything is annotated under a row's weights."""
+        return self.annotated > 0
+
+    @property
+    def has_matches(self) -> Bool[np.ndarray, " r"]:
+        """Whether anything is matched under a row's weights."""
+        return self.matched[:, -1] > 0 if self.matched.shape[1] else np.zeros(len(self.matched), dtype=bool)
 
 
-def weighted_curve(ranking: Ranking, group_weight: Float[np.ndarray, " g"] | None = None) -> Curve | None:
-    """Build the curve; None where nothing is annotated (under these weights)."""
-    group_weight = np.ones(len(ranking.annotated)) if group_weight is None else group_weight
-    annotated = float(group_weight @ ranking.annotated)
-    if annotated <= 0:
-        return None
-    hits, row_weight = ranking.hits, group_weight[ranking.group]
-    seen = np.cumsum(row_weight)
-    weight = row_weight[hits]
-    matched = np.cumsum(weight)
-    parts = {"weight": weight, "matched": matched, "match_confidence": ranking.confidence[hits]}
-    if len(hits) == 0 or matched[-1] <= 0:
-        return Curve(annotated=annotated, precision_at_match=matched, precision=_NONE, confidence=_NONE, **parts)
-    at_match = np.divide(matched, seen[hits], out=np.ones(len(hits)), where=seen[hits] > 0)
-    recall = matched / annotated
-    upper = np.searchsorted(recall, RECALL, side="right")
-    inside = upper < len(hits)
+def row_chunks(weights: Float[np.ndarray, "r g"], length: int) -> list[Float[np.ndarray, "s g"]]:
+    """The weights in chunks of rows whose curves fit into memory.
+
+    Args:
+        weights: Weights of the groups.
+        length: Number of predictions of the longest ranking.
+    """
+    rows = max(1, _MAX_ELEMENTS // max(length, len(RECALL)))
+    return [weights[first : first + rows] for first in range(0, len(weights), rows)]
+
+
+def weighted_curves(ranking: Ranking, weights: Float[np.ndarray, "r g"]) -> Curves:
+    """Build the curves of a ranking under each row of group weights."""
+    # Sums of weights along the ranking give recall and precision at each match.
+    annotated = weights @ ranking.annotated.astype(np.float64)
+    hits = ranking.hits
+    row_weight = weights[:, ranking.group]
+    predicted = np.cumsum(row_weight, axis=1)
+    weight = row_weight[:, hits]
+    matched = np.cumsum(weight, axis=1)
+    at_match = np.divide(matched, predicted[:, hits], out=np.ones_like(matched), where=predicted[:, hits] > 0)
+    parts = {
+        "weight": weight,
+        "matched": matched,
+        "annotated": annotated,
+        "precision_at_match": at_match,
+        "match_confidence": ranking.confidence[hits],
+    }
+    empty = np.zeros((len(weights), len(RECALL)))
+    if not len(hits):
+        return Curves(precision=empty, confidence=empty, **parts)
+    # Each sampled recall lies between the prediction ahead of a match ("before") and that match ("upper").
+    divisor = np.where(annotated > 0, annotated, 1.0)[:, None]
+    recall = matched / divisor
+    upper = np.stack([np.searchsorted(row, RECALL, side="right") for row in recall])
+    is_reached = upper < len(hits)
     upper = np.minimum(upper, len(hits) - 1)
-    before = np.maximum(hits[upper] - 1, 0)  # the last prediction ahead of the match
-    matched_before, seen_before = matched[upper] - weight[upper], seen[before]
-    lead = (hits[upper] > 0) & (seen_before > 0)  # else the curve is level up to its first match
-    precision_before = np.divide(matched_before, seen_before, out=at_match[upper].copy(), where=lead)
+    before = np.maximum(hits[upper] - 1, 0)
+    precision_at_upper = np.take_along_axis(at_match, upper, axis=1)
+    weight_of_upper = np.take_along_axis(weight, upper, axis=1)
+    matched_before = np.take_along_axis(matched, upper, axis=1) - weight_of_upper
+    predicted_before = np.take_along_axis(predicted, before, axis=1)
+    leads = (hits[upper] > 0) & (predicted_before > 0)  # else the curve is level up to its first match
+    precision_before = np.divide(matched_before, predicted_before, out=precision_at_upper.copy(), where=leads)
     confidence_before = ranking.confidence[before]
     share = np.divide(
-        RECALL - matched_before / annotated, weight[upper] / annotated, out=np.zeros(101), where=weight[upper] > 0
+        RECALL - matched_before / divisor, weight_of_upper / divisor, out=empty.copy(), where=weight_of_upper > 0
     )
-    beyond = (recall[-1] == RECALL).astype(np.float64)  # at the last recall itself the last value holds, then none
-
-    return Curve(
-        annotated=annotated,
-        precision_at_match=at_match,
-        precision=np.where(
-            inside,
-            precision_before + (at_match[upper] - precision_before) * share,
-            beyond * (matched[-1] / seen[-1]),
-        ),
-        confidence=np.where(
-            inside,
-            confidence_before + (ranking.confidence[hits[upper]] - confidence_before) * share,
-            beyond * ranking.confidence[-1],
-        ),
-        **parts,
-    )
+    # At the last recall itself the last value holds, then none.
+    at_end = (recall[:, -1:] == RECALL).astype(np.float64)
+    last = np.divide(matched[:, -1:], predicted[:, -1:], out=np.zeros((len(weights), 1)), where=predicted[:, -1:] > 0)
+    precision = np.where(is_reached, precision_before + (precision_at_upper - precision_before) * share, at_end * last)
+    step = (ranking.confidence[hits[upper]] - confidence_before) * share
+    confidence = np.where(is_reached, confidence_before + step, at_end * ranking.confidence[-1])
+    exists = (matched[:, -1:] > 0) & (annotated[:, None] > 0)
+    return Curves(precision=np.where(exists, precision, 0.0), confidence=np.where(exists, confidence, 0.0), **parts)
 
 
-_NONE = np.zeros(101)
-
-
-def average_precision(curve: Curve, *, method: str = "nuscenes") -> float:
-    """Area under a curve in [0, 1].
+def average_precisions(curves: Curves, *, method: str = "nuscenes") -> Float[np.ndarray, " r"]:
+    """Area under each curve in [0, 1], NaN where nothing is annotated, shape (r,).
 
     Args:
-        curve: The curve.
-        method: ``"nuscenes"``: mean of 90 interpolated precisions above recall 0.1, less 0.1, over 0.9 (the area that
-            Cirrus calls normalised); ``"interp101"``: mean of all 101; ``"area"``: sum of precision times gain in
-            recall; ``"voc"``: the same under the falling envelope.
+        curves: The curves.
+        method: ``"nuscenes"`` (which the Cirrus paper calls normalised), ``"interp101"``, ``"area"`` or ``"voc"``, see
+            the formulas above.
     """
     if method == "nuscenes":
-        return min(float(np.clip(curve.precision[FIRST:] - FLOOR, 0.0, None).mean() / (1.0 - FLOOR)), 1.0)
-    if method == "interp101":
-        return float(curve.precision.mean())
-    precision = curve.precision_at_match
-    if method == "voc":
-        precision = np.maximum.accumulate(precision[::-1])[::-1]
-    return float(curve.weight @ precision / curve.annotated)
+        areas = np.minimum(np.clip(curves.precision[:, FIRST:] - FLOOR, 0.0, None).mean(axis=1) / (1.0 - FLOOR), 1.0)
+    elif method == "interp101":
+        areas = curves.precision.mean(axis=1)
+    else:
+        precision = curves.precision_at_match
+        if method == "voc":
+            precision = np.maximum.accumulate(precision[:, ::-1], axis=1)[:, ::-1]
+        areas = (curves.weight * precision).sum(axis=1) / np.where(curves.has_annotated, curves.annotated, 1.0)
+    return np.where(curves.has_annotated, areas, np.nan)
 
 
-def mean_error(curve: Curve, error: Float[np.ndarray, " h"], *, method: str = "nuscenes") -> float:
-    """Mean error of the matches; 1, the worst, where there are too few.
+def mean_errors(curves: Curves, error: Float[np.ndarray, " h"], *, method: str = "nuscenes") -> Float[np.ndarray, " r"]:
+    """Mean error of the matches of each curve, NaN where nothing is annotated, 1 where too few are matched.
 
     Args:
-        curve: The curve of the ranking.
+        curves: The curves.
         error: Error of each match in rank order, shape (h,).
-        method: ``"nuscenes"``: the running mean, resampled at the confidences of recalls 0.11 ... highest reached, is
-            averaged; 1 if recall 0.11 is not reached. ``"tp_mean"``: the plain mean over all matches.
+        method: ``"nuscenes"`` or ``"tp_mean"``, see the formulas above.
     """
-    if len(error) == 0 or curve.matched[-1] <= 0:
-        return 1.0
+    means = np.where(curves.has_annotated, 1.0, np.nan)
+    rows = curves.has_annotated & curves.has_matches
+    if not rows.any():
+        return means
+    weighted, matched = (curves.weight * error)[rows], curves.matched[rows]
     if method == "tp_mean":
-        return float(curve.weight @ error / curve.matched[-1])
-    reached = np.flatnonzero(curve.confidence)
-    if len(reached) == 0 or reached[-1] < FIRST:
-        return 1.0
-    mean = np.cumsum(curve.weight * error)
-    first = int(np.argmax(curve.matched > 0))
-    mean[first:] /= curve.matched[first:]
-    mean[:first] = mean[first]
-    wanted = curve.confidence[FIRST : reached[-1] + 1]
-    return float(np.interp(wanted, curve.match_confidence[::-1], mean[::-1]).mean())
+        means[rows] = weighted.sum(axis=1) / matched[:, -1]
+        return means
+    # The running mean by match; ahead of the first match that has weight it is that match's error.
+    running = np.divide(np.cumsum(weighted, axis=1), matched, out=np.zeros_like(matched), where=matched > 0)
+    first = np.argmax(matched > 0, axis=1)[:, None]
+    is_ahead = np.arange(matched.shape[1]) < first
+    running = np.where(is_ahead, np.take_along_axis(running, first, axis=1), running)
+    # Sampled at the confidences of recalls 0.11 up to the highest one reached, and averaged.
+    confidence = curves.confidence[rows]
+    highest = np.where(confidence.any(axis=1), len(RECALL) - np.argmax(confidence[:, ::-1] != 0, axis=1), 0)
+    sampled = _interpolate_rows(confidence[:, FIRST:], curves.match_confidence[::-1], running[:, ::-1])
+    is_counted = np.arange(FIRST, len(RECALL)) < highest[:, None]
+    total = np.where(is_counted, sampled, 0.0).sum(axis=1)
+    means[rows] = np.divide(total, is_counted.sum(axis=1), out=np.ones_like(total), where=highest > FIRST)
+    return means
+
+
+def _interpolate_rows(
+    x: Float[np.ndarray, "r k"], knots: Float[np.ndarray, " h"], values: Float[np.ndarray, "r h"]
+) -> Float[np.ndarray, "r k"]:
+    """``numpy.interp`` of each row: the knots are common to all of them, and may stand twice."""
+    left = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 1)
+    right = np.minimum(left + 1, len(knots) - 1)
+    low = np.take_along_axis(values, left, axis=1)
+    high = np.take_along_axis(values, right, axis=1)
+    gap, offset = knots[right] - knots[left], x - knots[left]
+    slope = np.divide(high - low, gap, out=np.zeros_like(low), where=(gap > 0) & (offset > 0))
+    return slope * offset + low

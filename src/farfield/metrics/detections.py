@@ -1,26 +1,275 @@
-"""Detections: what was found in the frames of a data set, with all that scores it."""
+"""Detections, and the protocols that score them: two halves of one contract.
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+:class:`Detections` are the boxes of a detector by frame with what was annotated there; a :class:`Protocol` turns them
+into a :class:`~farfield.metrics.result.Result`. ``detections.score("dds", range_bins_m=(0, 70))`` looks the protocol up
+by its name, lets it complete its settings, evaluates the frames that count, and says of what the figures are.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from itertools import pairwise
 from operator import attrgetter
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Shaped
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.files.spool import MappedView, alike
 from farfield.frame.annotation import Annotation, CameraField
 from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
+from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.frames import BoxesByFrame, labels_of
-from farfield.metrics.oddities import meant_by, strange_classes
-from farfield.metrics.protocol import PROTOCOLS, Protocol, relabel_of
-from farfield.metrics.result import Result
-from farfield.metrics.subject import Subject, labels_fingerprint, region_words
+from farfield.metrics.options import option_text
+from farfield.metrics.presenting import Presentation, Presenter
+from farfield.metrics.result import Result, Subject, figure_names, labels_fingerprint, region_words, value_at
+from farfield.metrics.sanity import meant_by, strange_classes
+from farfield.registry import PluginError, Registry
+from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 Details = Mapping[str, Shaped[np.ndarray, "n *rest"]]
+
+
+P = TypeVar("P", bound="type[Protocol]")
+_NUMBERS = ("range_bins_m", "epsilons")
+"""Settings that are numbers: whole ones and lists are taken too, and give the same JSON."""
+
+
+class Protocol(ABC):
+    """A way to score detections.
+
+    A protocol of one class has a setting ``label``; without one given the most annotated class is scored, of those that
+    the detector knows where there are any. Settings
+    named ``relabel``, ``ignore``, ``range_bins_m``, ``region`` and ``bootstrap`` mean what they mean in
+    :class:`farfield.metrics.centre.settings.CentreSettings`.
+
+    Args:
+        variant: What follows the colon in the protocol's name.
+
+    Raises:
+        ConfigError: If the protocol has no variants.
+    """
+
+    name: ClassVar[str] = ""
+    """What it is called in ``score`` and on the command line."""
+    family: ClassVar[str] = ""
+    """Protocols of one family share columns where their settings agree; empty: the name."""
+    Settings: ClassVar[type[Any]]
+    """A frozen dataclass whose fields all have defaults: they are the flags."""
+    uses: ClassVar[frozenset[str]] = frozenset()
+    """What it takes of the detections besides boxes: ``"conditions"``, ``"visibility"``, ``"details"``."""
+    several_classes: ClassVar[bool] = False
+    """Whether one result holds several classes, named by the setting ``classes``, as ``ap/CLASS/...``."""
+    classes: ClassVar[Mapping[str, str]] = {name: name for name in CIRRUS_CLASSES if name != "unknown"}
+    """All classes of the data that it is for, ours by the data's own name."""
+    presenter: ClassVar[Presenter] = Presenter()
+    """How tables and pages show its figures."""
+
+    def __init__(self, variant: str = "") -> None:
+        if variant:
+            raise ConfigError(f"protocol {self.name!r} has no variants, got {variant!r} after the colon")
+
+    def __str__(self) -> str:
+        return self.name
+
+    @abstractmethod
+    def evaluate(self, detections: "Detections", settings: Any) -> Result:
+        """Score detections whose every annotated frame has an entry of boxes; settings are a ``Settings``."""
+
+    def weighted(self, detections: "Detections", settings: Any) -> Weighted:
+        """The same figures as functions of group weights, from which differences of results are drawn.
+
+        Args:
+            detections: Detections that count, as ``evaluate`` takes them.
+            settings: A ``Settings``.
+
+        Raises:
+            ConfigError: If the protocol does not say how its figures depend on weights.
+        """
+        del detections, settings
+        raise ConfigError(
+            f"protocol {self}: expected one whose figures can be resampled, to decide on differences; got one without. "
+            "Give its class a method weighted(detections, settings), or choose dds, nuscenes, kitti or kradar"
+        )
+
+    def options(self) -> tuple[str, ...]:
+        """Names of the settings."""
+        return tuple(field.name for field in fields(self.Settings))
+
+    def default(self, name: str) -> Any:
+        """The default of a setting; None where there is no such setting."""
+        return getattr(self.Settings(), name, None)
+
+    def settings(self, detections: "Detections", **given: Any) -> Any:
+        """The settings of a score: those given, and defaults of which some depend on the data.
+
+        Raises:
+            ConfigError: If a setting is unknown or impossible.
+        """
+        unknown = sorted(set(given) - set(self.options()))
+        if unknown:
+            expected = ", ".join(self.options())
+            raise ConfigError(f"{self}: expected options among {expected}; got {', '.join(unknown)}")
+        edges_and_weights = {name: given[name] for name in _NUMBERS if given.get(name) is not None}
+        given |= {name: tuple(map(float, values)) for name, values in edges_and_weights.items()}
+        if "label" in self.options() and given.get("label") is None:
+            given = {name: value for name, value in given.items() if name != "label"}
+            present = self.labels(detections.annotated, **given)
+            relabel = relabel_of(self, given)
+            detected = {relabel.get(name, name) for name in detections.classes}
+            given |= {"label": next((name for name in present if name in detected), present[0])} if present else {}
+        return self.Settings(**given)
+
+    def labels(self, boxes: BoxesByFrame, **given: Any) -> tuple[str, ...]:
+        """Classes that can be scored, the most frequent first: relabelled ones as one, ignored ones left out."""
+        chosen = {name: given[name] for name in ("relabel", "ignore") if name in given and name in self.options()}
+        default = self.Settings(**chosen)
+        names = (name for name, _ in labels_of(boxes, getattr(default, "relabel", {})))
+        return tuple(name for name in names if name not in (getattr(default, "ignore", None) or ()))
+
+    def each(self, detections: "Detections", *, label: str | None = None, **given: Any) -> list[Any]:
+        """The settings of one result a class, the most annotated class first.
+
+        Args:
+            detections: The detections.
+            label: The only class to score; None for every annotated one.
+            **given: Further settings.
+
+        Raises:
+            ConfigError: If no box bears the label, or a setting is unknown or impossible.
+        """
+        if "label" not in self.options():
+            return [self.settings(detections, **given)]
+        detections.check_label(self, label, **given)
+        present = self.labels(detections.annotated, **given)
+        names = [label] if label is not None else present or (None,)
+        return [self.settings(detections, label=name, **given) for name in names]
+
+    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
+        """The few figures that stand for a result: for the terminal, ``compare-results`` and the page.
+
+        Args:
+            result: Result JSON, or a part of it (a range bin, a condition).
+
+        Returns:
+            Figures by name, such as ``"dds/0/dds"``, the first one first; all figures unless the protocol chooses.
+        """
+        return {name: value_at(result, name) for name in figure_names(result)}
+
+    def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
+        """Settings on which no figure of the whole depends, so that results that differ in them share a column.
+
+        Args:
+            settings: Settings of a result's JSON.
+        """
+        names = ["bootstrap", "label"]
+        region = settings.get("region")
+        return [*names, *(["window_m"] * (region != "window")), *(["range_bins_m"] * (region == "none"))]
+
+    def depends_on(self, settings: Mapping[str, Any], *, by_range: bool = False) -> dict[str, Any]:
+        """The settings on which figures depend; ``by_range`` for those of range bins, on which the bins bear."""
+        inert = set(self.inert(settings)) - ({"range_bins_m"} if by_range else set())
+        return {name: value for name, value in settings.items() if name not in inert}
+
+    def convention_text(self, settings: Mapping[str, Any], *, by_range: bool = False) -> str:
+        """The settings on which figures depend, as one line of ``name=value`` pairs."""
+        return option_text(self.depends_on(settings, by_range=by_range))
+
+
+def relabel_of(protocol: Protocol, given: Mapping[str, Any]) -> Mapping[str, str]:
+    """Which class names a protocol counts as others, under the settings that are given."""
+    chosen = {name: given[name] for name in ("relabel",) if name in given and name in protocol.options()}
+    relabel: Mapping[str, str] = getattr(protocol.Settings(**chosen), "relabel", None) or {}
+    return relabel
+
+
+class ForeignProtocol(Protocol):
+    """A protocol known from its results only: that of a package that is not installed here."""
+
+    def __init__(self, variant: str = "") -> None:
+        self.known_as = variant
+
+    def __str__(self) -> str:
+        return self.known_as
+
+    def evaluate(self, detections: "Detections", settings: Any) -> Result:
+        """Refuse.
+
+        Raises:
+            ConfigError: Always.
+        """
+        del detections, settings
+        raise ConfigError(f"protocol {self.known_as!r} is not installed here")
+
+
+class Protocols(Registry[Any]):
+    """Protocols by name; what follows a colon is the variant: ``PROTOCOLS["kradar-compat:rtnh_wide"]``."""
+
+    def __getitem__(self, name: str) -> Protocol:
+        kind, colon, variant = name.partition(":")
+        registered: Any = super().__getitem__(kind)
+        if isinstance(registered, type):
+            registered = registered(variant) if colon else registered()
+        if not isinstance(registered, Protocol):
+            raise PluginError(
+                f"protocol {kind!r} of {self.origin(kind)} cannot be used: expected a class that inherits "
+                f"farfield.metrics.Protocol, or an object of one; got {registered!r}"
+            )
+        return registered
+
+
+PROTOCOLS = Protocols(
+    "farfield.protocols",
+    "protocol",
+    {
+        "dds": "farfield.metrics.centre.dds:Dds",
+        "nuscenes": "farfield.metrics.centre.nuscenes:NuScenes",
+        "kitti": "farfield.metrics.kitti.protocol:KittiProtocol",
+        "kradar": "farfield.metrics.kradar.protocol:KRadarProtocol",
+        "kradar-compat": "farfield.metrics.kradar.protocol:KRadarCompat",
+        "tracking": "farfield.metrics.tracking.protocol:Tracking",
+        "nuscenes-tracking": "farfield.metrics.tracking.nuscenes:NuScenesTracking",
+    },
+)
+
+
+def protocol(name: str) -> Callable[[P], P]:
+    """Register a protocol's class in this process, as a notebook does.
+
+    Args:
+        name: What it is called from then on.
+
+    Raises:
+        ConfigError: If the name is a built-in one, or the class is no protocol.
+    """
+    return partial(_register, name)
+
+
+def _register(name: str, kind: P) -> P:
+    if not (isinstance(kind, type) and issubclass(kind, Protocol)):
+        raise ConfigError(f"protocol {name!r}: expected a class that inherits farfield.metrics.Protocol, got {kind!r}")
+    registered = PROTOCOLS.register(name)(kind)
+    registered.name = name
+    return registered
+
+
+def protocol_of(result: Mapping[str, Any]) -> Protocol:
+    """The protocol of a result's JSON, whether or not it is installed here."""
+    name = str(result.get("protocol", ""))
+    try:
+        return PROTOCOLS[name]
+    except FarfieldError:
+        return ForeignProtocol(name)
+
+
+def presentation_of(result: Mapping[str, Any], protocol: Protocol | None = None) -> Presentation:
+    """What a page shows of a result's JSON, as the presenter of its protocol says; None: the one that it names."""
+    chosen = protocol_of(result) if protocol is None else protocol
+    shown = chosen.presenter.presentation(result)
+    return shown if shown.figures else replace(shown, figures=tuple(chosen.headline(result)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,8 +343,8 @@ class Detections:
             ConfigError: If the protocol or a setting is unknown, or no frame with predictions is annotated.
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
-        found = self.counted()
-        return self._noted(self._about(found.evaluated(chosen, chosen.settings(found, **settings))))
+        counted = self.counted()
+        return self._described(counted.evaluated(chosen, chosen.settings(counted, **settings)))
 
     def score_each(self, protocol: str | Protocol = "dds", **settings: Any) -> list[Result]:
         """Score every annotated class, each for itself, the most frequent first; or that of ``label`` alone.
@@ -104,11 +353,11 @@ class Detections:
         :meth:`score`; a label that no box bears is a ConfigError too.
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
-        found = self.counted()
-        return [self._noted(self._about(found.evaluated(chosen, each))) for each in chosen.each(found, **settings)]
+        counted = self.counted()
+        return [self._described(counted.evaluated(chosen, one)) for one in chosen.each(counted, **settings)]
 
-    def _about(self, result: Result) -> Result:
-        """The result with its subject: the one place where subjects are made."""
+    def _described(self, result: Result) -> Result:
+        """The result with its subject, and with notes on classes and regions in which nothing can be found."""
         counted = result.counts.get("annotated")
         subject = Subject(
             protocol=result.protocol,
@@ -120,11 +369,21 @@ class Detections:
             labels_fingerprint=self.labels_fingerprint or labels_fingerprint(self.annotations),
             cloud=self.cloud or "",
             region=region_words(result.settings),
-            annotated=counted if isinstance(counted, int) else self._number_of(result.label),
+            annotated=counted
+            if isinstance(counted, int)
+            else sum(int(np.count_nonzero(boxes.label == result.label)) for boxes in self.annotated.values()),
             frames=len(self.annotations),
             seen_in_training=self.seen_in_training,
         )
-        return replace(result, subject=subject)
+        relabel = result.settings.get("relabel") or {}
+        notes = [] if self.classes else strange_classes(self.boxes, self.annotated, relabel)
+        annotated = sum(count for name, count in labels_of(self.annotated, relabel) if name == result.label)
+        if counted == 0 and annotated:
+            notes.append(
+                f"0 of {annotated} annotated boxes of {result.label} lie in the region "
+                f"({region_words(result.settings)}): --region none takes them all"
+            )
+        return replace(result, subject=subject, notes=(*result.notes, *notes))
 
     @property
     def paired(self) -> int:
@@ -149,12 +408,12 @@ class Detections:
             return
         relabel = relabel_of(chosen, given)
         counts = dict(labels_of(self.annotated, relabel))
-        known = dict.fromkeys(relabel.get(name, name) for name in self.classes)
-        if known and counts and not (set(counts) & set(known) if label is None else label in known):
-            asked = ", ".join(f"{name} ({count})" for name, count in counts.items()) if label is None else label
+        detected = dict.fromkeys(relabel.get(name, name) for name in self.classes)
+        if detected and counts and not (set(counts) & set(detected) if label is None else label in detected):
+            names = ", ".join(f"{name} ({count})" for name, count in counts.items()) if label is None else label
             raise ConfigError(
-                f"label: expected a class that the detector knows, one of {', '.join(known)}; got {asked}. "
-                + _advice(counts, known, label)
+                f"label: expected a class that the detector knows, one of {', '.join(detected)}; got {names}. "
+                + _advice(counts, detected, label)
             )
         if label is None:
             return
@@ -166,27 +425,12 @@ class Detections:
                 + (f". Did you mean {guess}?" if guess else "")
             )
 
-    def _noted(self, result: Result) -> Result:
-        """The result with notes on classes and regions in which nothing can be found."""
-        relabel = result.settings.get("relabel") or {}
-        notes = [] if self.classes else strange_classes(self.boxes, self.annotated, relabel)
-        there = sum(count for name, count in labels_of(self.annotated, relabel) if name == result.label)
-        if result.counts.get("annotated") == 0 and there:
-            notes.append(
-                f"0 of {there} annotated boxes of {result.label} lie in the region ({region_words(result.settings)}): "
-                "--region none takes them all"
-            )
-        return replace(result, notes=(*result.notes, *notes))
-
     def _counted_label(self, result: Result) -> str:
         """The class that was scored, and which annotated classes counted as it: "vehicle with large_vehicle"."""
-        there = {name for boxes in self.annotated.values() for name in np.unique(boxes.label).tolist()}
-        merged = result.settings.get("relabel") or {}
-        others = sorted(name for name, other in merged.items() if other == result.label and name in there)
+        annotated = {name for boxes in self.annotated.values() for name in np.unique(boxes.label).tolist()}
+        relabel = result.settings.get("relabel") or {}
+        others = sorted(name for name, other in relabel.items() if other == result.label and name in annotated)
         return f"{result.label} with {' and '.join(others)}" if others else result.label
-
-    def _number_of(self, label: str) -> int:
-        return sum(int(np.count_nonzero(boxes.label == label)) for boxes in self.annotated.values())
 
     def evaluated(self, protocol: Protocol, settings: Any) -> Result:
         """Evaluate detections that count (see :meth:`counted`) with the settings of a protocol."""
@@ -210,44 +454,47 @@ class Detections:
         notes = list(self.notes)
         if strangers:
             notes.append(f"{len(strangers)} of {len(self.boxes)} frames are not annotated and do not count")
-        boxes, annotations, details, left = alike(self.boxes), alike(self.annotations), {}, _OutsideCounts()
+        boxes, annotations = alike(self.boxes), alike(self.annotations)
+        details: dict[Key, Details] = {}
+        outside = _OutsideCounts()
         for key, annotation in self.annotations.items():
-            found, known = self.boxes.get(key, _NOTHING), self.prediction_details.get(key)
+            predicted, rows = self.boxes.get(key, _NO_BOXES), self.prediction_details.get(key)
             if annotation.region is not None:
-                seen, there = _inside(found, annotation.region), _inside(annotation.boxes, annotation.region)
-                left.add(annotation.region, seen, there)
-                found = found if seen.all() else found[seen]
-                annotation = annotation if there.all() else annotation[there]
-                known = None if known is None else {name: np.asarray(rows)[seen] for name, rows in known.items()}
-            boxes[key], annotations[key] = found, annotation
-            if known is not None:
-                details[key] = known
+                predicted_in = _inside(predicted, annotation.region)
+                annotated_in = _inside(annotation.boxes, annotation.region)
+                outside.add(annotation.region, predicted_in, annotated_in)
+                predicted = predicted if predicted_in.all() else predicted[predicted_in]
+                annotation = annotation if annotated_in.all() else annotation[annotated_in]
+                rows = None if rows is None else {name: np.asarray(v)[predicted_in] for name, v in rows.items()}
+            boxes[key], annotations[key] = predicted, annotation
+            if rows is not None:
+                details[key] = rows
         return replace(
             self,
             boxes=boxes,
             annotations=annotations,
             prediction_details=details,
             conditions={key: self.conditions[key] for key in annotations if key in self.conditions},
-            notes=(*notes, *left.notes()),
+            notes=(*notes, *outside.notes()),
         )
 
 
-_NOTHING = Boxes.empty(scored=True)
+_NO_BOXES = Boxes.empty(scored=True)
 
 
-def _advice(counts: Mapping[str, int], known: Mapping[str, None], label: str | None) -> str:
-    """What to do where a class is asked for that the detector does not know, or where annotated ones are none of its.
+def _advice(counts: Mapping[str, int], detected: Mapping[str, None], label: str | None) -> str:
+    """What to do where a class is requested that the detector does not know, or where annotated ones are none of its.
 
     Args:
         counts: Annotated boxes by class.
-        known: The detector's classes.
-        label: The class that was asked for, if one was.
+        detected: The detector's classes.
+        label: The requested class, if one was.
     """
-    shared = [name for name in counts if name in known]
+    shared = [name for name in counts if name in detected]
     if label is not None and label not in counts and shared:
         return f"Take an annotated one: --label {' or '.join(shared)}"
-    guess = next((f"{name}:{meant}" for name in counts if (meant := meant_by(name, known))), "")
-    guess = guess or f"{label if label in counts else next(iter(counts))}:{next(iter(known))}"
+    guess = next((f"{name}:{meant}" for name in counts if (meant := meant_by(name, detected))), "")
+    guess = guess or f"{label if label in counts else next(iter(counts))}:{next(iter(detected))}"
     return f"Name what is meant with --options relabel={guess} (relabel=, a mapping, in Python)"
 
 
@@ -264,8 +511,8 @@ class _OutsideCounts:
     def add(self, region: CameraField, predicted: Bool[np.ndarray, " n"], annotated: Bool[np.ndarray, " m"]) -> None:
         """Count the boxes of a frame; the masks mark those inside."""
         before = self.sums.get(str(region), (0, 0, 0, 0))
-        here = (int((~predicted).sum()), int((~annotated).sum()), len(predicted), len(annotated))
-        self.sums[str(region)] = tuple(a + b for a, b in zip(before, here, strict=True))
+        counts = (int((~predicted).sum()), int((~annotated).sum()), len(predicted), len(annotated))
+        self.sums[str(region)] = tuple(a + b for a, b in zip(before, counts, strict=True))
 
     def notes(self) -> list[str]:
         """A sentence for each region with boxes outside it."""
@@ -282,10 +529,10 @@ def _within_reach(result: Result, reach_m: float | None) -> Result:
     if reach_m is None:
         return result
     edges_m = [float(edge) for edge in result.settings.get("range_bins_m") or ()]
-    named = {f"{low:g}-{high:g}": (low, high) for low, high in pairwise(edges_m)}
-    scored = [name for name in named if any(v is not None for v in result.ranges.get(name, {}).values())]
-    beyond = [name for name in scored if named[name][0] >= reach_m]
-    partly = [name for name in scored if named[name][0] < reach_m < named[name][1]]
+    bins_m = {f"{low:g}-{high:g}": (low, high) for low, high in pairwise(edges_m)}
+    scored = [name for name in bins_m if any(v is not None for v in result.ranges.get(name, {}).values())]
+    beyond = [name for name in scored if bins_m[name][0] >= reach_m]
+    partly = [name for name in scored if bins_m[name][0] < reach_m < bins_m[name][1]]
     notes = list(result.notes)
     if beyond:
         notes.append(f"range {', '.join(beyond)} m begins beyond the detector's reach of {reach_m:g} m: not scored")

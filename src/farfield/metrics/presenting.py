@@ -1,9 +1,13 @@
-"""How results are shown: what a protocol states for a page, which itself knows no protocol."""
+"""How results are shown: a protocol's presenter gives titles, units, words and curves to tables and pages.
+
+A page knows no protocol: it asks the :class:`Presenter` of the one that made the result. A protocol without a presenter
+of its own has the plain one, which shows every figure under its name.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -102,7 +106,7 @@ class Presentation:
     """What a page shows of a result.
 
     Args:
-        figures: Columns of the table by range, the main figure first.
+        figures: Columns of the table by range, the main figure first; none: the protocol's headline.
         about: What they are, in sentences; plain text.
         beside: A figure that belongs beside the main one, or nothing.
         parts: Columns of a second table, of what the figures are made of.
@@ -117,7 +121,7 @@ class Presentation:
         finding: When a box of a picture counts as found.
     """
 
-    figures: tuple[str, ...]
+    figures: tuple[str, ...] = ()
     about: str = ""
     beside: str = ""
     parts: tuple[str, ...] = ()
@@ -135,6 +139,54 @@ class Presentation:
     def main(self) -> str:
         """The figure that stands for a result; nothing where there are no figures."""
         return next(iter(self.figures), "")
+
+
+class Presenter:
+    """How the results of a protocol are shown; the plain one, from which those of the protocols inherit."""
+
+    per_cent: ClassVar[bool] = False
+    """Whether tables show the figures in per cent."""
+
+    def title(self, figure: str) -> str:
+        """What a figure's column is called.
+
+        Args:
+            figure: Its name, of a result of several classes without the class: ``"3d/0.3"``.
+        """
+        return " ".join(figure.removeprefix("ap/").split("/")).replace("3d", "3D").replace("bev", "BEV")
+
+    def unit(self, figure: str) -> str:
+        """The unit in which a figure is shown: ``"%"``, ``"m"``, ``"rad"``..., or nothing for a share.
+
+        Args:
+            figure: Its name.
+        """
+        del figure
+        return "%" if self.per_cent else ""
+
+    def setting_title(self, name: str) -> str:
+        """What a setting is called on a page, with its unit at the end as in ``limit_m``."""
+        return name
+
+    def presentation(self, result: Mapping[str, Any]) -> Presentation:
+        """What a page shows of a result: columns, words, and when a box of a picture counts as found.
+
+        Args:
+            result: Result JSON.
+        """
+        del result
+        return Presentation()
+
+    def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
+        """The curves of the whole, by panel.
+
+        Args:
+            result: Result JSON.
+
+        Raises:
+            ConfigError: If a curve is damaged.
+        """
+        return panels((result.get("curves") or {}).get("overall"))
 
 
 def panels(tree: Any, titles: Sequence[str] = ()) -> list[CurvePanel]:

@@ -23,9 +23,9 @@ from farfield.figures.tables import class_rows, condition_tables, heading, range
 from farfield.files.atomic import write_bytes, write_text
 from farfield.frame import Frame
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.conventions import protocol_family
+from farfield.metrics.comparing import protocol_family
+from farfield.metrics.detections import presentation_of, protocol_of
 from farfield.metrics.presenting import HitRule, Presentation, edges_m
-from farfield.metrics.protocol import protocol_of
 from farfield.pages.template import PageImage, render_template
 from farfield.vocabulary.kradar import REGIONS_M, Bounds
 from farfield.vocabulary.scores import SHOWN_SCORE
@@ -198,7 +198,7 @@ def render_report(evaluation: Evaluation, *, shown_score: float = SHOWN_SCORE, p
     results = evaluation.results
     first = next(iter(results.values()), {})
     protocol, edges = protocol_of(first), edges_m(first) or RANGES_M
-    shown = protocol.presentation(first)
+    shown = presentation_of(first)
     kinds = {kind_of(view.frame, name) for view in evaluation.frames for name in view.frame.clouds}
     drawing = DrawingOptions(
         labels=scored_labels(results),
@@ -211,7 +211,7 @@ def render_report(evaluation: Evaluation, *, shown_score: float = SHOWN_SCORE, p
     tables = condition_tables(own_parts, shown.figures, protocol, shown.kinds)
     return render_template(
         "page.html",
-        {**_FILTERS, "heading": partial(heading, protocol), "unit": protocol.unit},
+        {**_FILTERS, "heading": partial(heading, protocol), "unit": protocol.presenter.unit},
         title=evaluation.title,
         headline=report_text.headline(results, protocol, shown),
         scope=report_text.scope(results),
@@ -247,7 +247,10 @@ def _convention(result: Mapping[str, Any]) -> dict[str, Any]:
     beside = {name: settings[name] for name in ("label", "classes", "range_bins_m", "bootstrap") if name in settings}
     protocol = protocol_of(result)
     known = {**protocol.depends_on(settings), **beside}
-    return {"protocol": result.get("protocol"), **{protocol.setting_title(name): v for name, v in known.items()}}
+    return {
+        "protocol": result.get("protocol"),
+        **{protocol.presenter.setting_title(name): v for name, v in known.items()},
+    }
 
 
 def _region(result: Mapping[str, Any], frames: Sequence[FrameView]) -> Bounds | None:
@@ -260,7 +263,7 @@ def _region(result: Mapping[str, Any], frames: Sequence[FrameView]) -> Bounds | 
 
 
 def _curves(results: Mapping[str, Mapping[str, Any]], shown: Presentation) -> PageImage | None:
-    having = {name: result for name, result in results.items() if protocol_of(result).curves(result)}
+    having = {name: result for name, result in results.items() if protocol_of(result).presenter.curves(result)}
     if not having:
         return None
     return PageImage(

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from farfield.errors import ConfigError
 from farfield.metrics import Bootstrap, Detections
+from farfield.metrics.breakdown import AZIMUTHS_DEG, parts
 from farfield.metrics.deciding import decide, difference, figure, switched, switching_gains
-from farfield.metrics.parts import AZIMUTHS_DEG, parts
 from farfield.papers.grid import Score, Tree
 from farfield.papers.jobs import TrainingJob
 from farfield.vocabulary.patterns import PATTERNS

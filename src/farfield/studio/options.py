@@ -44,7 +44,7 @@ class StudioSettings:
         annotator: Who edits, where a window does not say it.
         protocol: By which predictions are matched with the truth; empty takes the data set's own.
         predictions: Files of predicted boxes to show.
-        format: Their format, see :data:`farfield.metrics.reading.FORMATS`.
+        format: Their format, see :data:`farfield.metrics.box_files.FORMATS`.
         detectors: Detectors to run on what is shown: bundled names, runs' folders or weights files.
         threshold: Least score of a box that a detector gives.
         first: Frame to show first: its number, or sequence/frame.

@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from farfield.geometry.iou import bev_intersection_m2
 from farfield.metrics.frames import same_owner
-from farfield.metrics.tracking.pairing import best_pairs, greedy_pairs
+from farfield.metrics.tracking.scene import best_pairs, greedy_pairs
 from farfield.tracking.presets import TrackerSettings
 
 _Pairs = tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]

@@ -27,7 +27,7 @@ MOST_BOXES = 500
 def write_kitti_tracks(folder: Path | str, tracks: Detections) -> list[Path]:
     """Write KITTI's tracking text, a file a sequence; frames are named by whole numbers.
 
-    Boxes stand on plain camera axes at the sensor's origin, as :mod:`farfield.metrics.reading` reads them. The box in
+    Boxes stand on plain camera axes at the sensor's origin, as :mod:`farfield.metrics.box_files` reads them. The box in
     the image is that of ``prediction_details``, -1 where there is none. A sequence without boxes is an empty file.
 
     Returns:

@@ -21,7 +21,7 @@ from farfield.detectors.network import Assigner
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Frame, Key
 from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
-from farfield.metrics.oddities import meant_by
+from farfield.metrics.sanity import meant_by
 from farfield.training.augmentation import augment
 from farfield.training.bank import LAG, Points, Progress, RollingBank, cut_out
 from farfield.training.config import UNCHANGED, AugmentationConfig

@@ -13,9 +13,9 @@ from farfield.errors import ConfigError
 from farfield.frame.annotation import Annotation
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
+from farfield.metrics.box_files import read
 from farfield.metrics.detections import Detections
-from farfield.metrics.reading import read
-from farfield.metrics.tracking.pairing import best_pairs
+from farfield.metrics.tracking.scene import best_pairs
 from farfield.tracking import track
 
 Row = tuple[int, float]  # identity, place along x

@@ -5,7 +5,7 @@ import pytest
 
 from farfield.frame import Annotation, Boxes
 from farfield.metrics.centre.matching import found_by
-from farfield.metrics.kradar.counting import match as kradar_match
+from farfield.metrics.kradar.evaluation import match as kradar_match
 from farfield.metrics.kradar.frames import gather_kradar
 from farfield.metrics.kradar.settings import KRadarSettings
 from farfield.studio.showing.predictions import FALSE, IGNORED, MATCHED, UNSEEN, match_frame

@@ -13,7 +13,7 @@ from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Camera, Cloud
 from farfield.inspection.doctor.conventions import count_points, ground_height_m
 from farfield.inspection.doctor.survey import Finding, Survey, counted
-from farfield.metrics.oddities import meant_by
+from farfield.metrics.sanity import meant_by
 from farfield.vocabulary.classes import CIRRUS_CLASSES, normalised_class
 from farfield.vocabulary.sizes import unit_of_sizes
 

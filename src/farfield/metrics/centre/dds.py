@@ -7,17 +7,16 @@ far object may be located less exactly. What the paper leaves open is an option 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from farfield.frame.drive import Drive
-from farfield.metrics.centre.protocol import CentreProtocol, distance_words, distances, evaluate_centre
+from farfield.metrics.centre.evaluation import evaluate_centre
+from farfield.metrics.centre.protocol import CentrePresenter, CentreProtocol, distance_words, distances
 from farfield.metrics.centre.settings import CentreSettings
+from farfield.metrics.detections import Detections
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.presenting import Presentation, Words
 from farfield.metrics.result import Result, table, value_at
-
-if TYPE_CHECKING:
-    from farfield.metrics.detections import Detections
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,19 +67,12 @@ def evaluate_dds(
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.
     """
     settings = settings or DdsSettings()
-    found = evaluate_centre(predictions, annotations, settings, protocol=Dds.name, drives=drives, reach_m=reach_m)
-    return DdsResult(**found)
+    fields = evaluate_centre(predictions, annotations, settings, protocol=Dds.name, drives=drives, reach_m=reach_m)
+    return DdsResult(**fields)
 
 
-class Dds(CentreProtocol):
-    """DDS and wDDS of the Cirrus paper."""
-
-    name = "dds"
-    Settings = DdsSettings
-
-    def evaluate(self, found: "Detections", settings: DdsSettings) -> DdsResult:
-        """DDS and wDDS by range and epsilon."""
-        return evaluate_dds(found.boxes, found.annotated, settings, drives=found.drives, reach_m=found.reach_m)
+class DdsPresenter(CentrePresenter):
+    """How Dds is shown."""
 
     def title(self, figure: str) -> str:
         """DDS, wDDS with its epsilon, mAP, aIoU."""
@@ -89,12 +81,6 @@ class Dds(CentreProtocol):
             return super().title(figure)
         score = "DDS" if words[1] == "0" else f"wDDS {words[1]}"
         return {"dds": score, "map": "mAP", "aiou": "aIoU"}.get(words[2], words[2])
-
-    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
-        """DDS and wDDS by epsilon, then mAP and aIoU of plain DDS."""
-        names = [f"dds/{epsilon}/dds" for epsilon in result.get("dds") or ()]
-        plain = ["dds/0/map", "dds/0/aiou"] if "0" in (result.get("dds") or ()) else []
-        return {name: value_at(result, name) for name in [*names, *plain]}
 
     def presentation(self, result: Mapping[str, Any]) -> Presentation:
         """DDS with its mAP, wDDS, and what they are made of."""
@@ -125,6 +111,26 @@ class Dds(CentreProtocol):
     def panel_title(self, epsilon: str) -> str:
         """The score and its epsilon."""
         return f"{'DDS' if float(epsilon) == 0 else 'wDDS'} (epsilon {epsilon})"
+
+
+class Dds(CentreProtocol):
+    """DDS and wDDS of the Cirrus paper."""
+
+    name = "dds"
+    Settings = DdsSettings
+    presenter = DdsPresenter()
+
+    def evaluate(self, detections: Detections, settings: DdsSettings) -> DdsResult:
+        """DDS and wDDS by range and epsilon."""
+        return evaluate_dds(
+            detections.boxes, detections.annotated, settings, drives=detections.drives, reach_m=detections.reach_m
+        )
+
+    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
+        """DDS and wDDS by epsilon, then mAP and aIoU of plain DDS."""
+        names = [f"dds/{epsilon}/dds" for epsilon in result.get("dds") or ()]
+        plain = ["dds/0/map", "dds/0/aiou"] if "0" in (result.get("dds") or ()) else []
+        return {name: value_at(result, name) for name in [*names, *plain]}
 
 
 def _glossary(result: Mapping[str, Any]) -> Words:

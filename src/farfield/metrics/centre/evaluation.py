@@ -1,39 +1,301 @@
-"""The evaluation that DDS, wDDS and nuScenes share: match by centre distance, then read the figures off the curves."""
+"""The evaluation that DDS, wDDS and nuScenes share: gather, match by centre distance, average over the curves.
 
-from collections.abc import Mapping, Sequence
+The steps of :func:`evaluate_centre`; formulas of the scores stand in :mod:`~farfield.metrics.centre.dds` and
+:mod:`~farfield.metrics.centre.nuscenes`, those of the curves in :mod:`farfield.metrics.curves`:
+
+    1. gather        boxes of one class in the region, of all frames in flat arrays
+    2. match         greedily by falling score, for each threshold t and epsilon: nearest free box nearer than omega t,
+                     omega = exp(epsilon d)
+    3. rank          matches and false positives by confidence, for the region and each range bin, with the errors of
+                     the matches: distance, 1 - IoU of sizes, heading, 1 - aligned IoU
+    4. average       AP over thresholds and aIoU over matches, for weights of 1 (the result) and for bootstrap draws
+
+Intervals over objects (:func:`object_intervals`) are for frames too few to be drawn: annotated objects are drawn with
+replacement, each with all its boxes and with what was matched to them. It is assumed that objects are found or missed
+independently of each other, that the frames' false positives stay what they are whichever objects are drawn, and that
+matches stay too. Frames of one scene share weather, sensor and place, which no drawing of their objects varies: the
+interval is that of this scene, not of others.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from farfield.errors import ConfigError
+from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.geometry.iou import aligned_iou
-from farfield.metrics.bootstrap import Statistics
+from farfield.metrics.bootstrap import (
+    Bootstrap,
+    Draws,
+    Statistics,
+    percentile_interval,
+    point_and_intervals,
+    replicate_weights,
+)
 from farfield.metrics.centre.matching import DROPPED, Limits, greedy_match, rank_predictions
-from farfield.metrics.centre.scene import CentreScene
 from farfield.metrics.centre.settings import CentreSettings
-from farfield.metrics.curves import Curve, Ranking, average_precision, mean_error, weighted_curve
-from farfield.metrics.frames import in_range
-from farfield.metrics.replicates import average_precisions, mean_errors, shares, weighted_curves
+from farfield.metrics.curves import FIRST, RECALL, Ranking, average_precisions, mean_errors, row_chunks, weighted_curves
+from farfield.metrics.frames import (
+    BoxesByFrame,
+    check_frames,
+    check_scores,
+    flatten,
+    frame_order,
+    group_frames,
+    has_label,
+    in_range,
+    in_region,
+)
 
 Variant = tuple[float, float]  # epsilon, threshold in metres
 ERRORS = ("trans_err", "scale_err", "orient_err")
 
 
+def evaluate_centre(
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
+    settings: CentreSettings,
+    *,
+    protocol: str,
+    drives: Sequence[Drive] = (),
+    reach_m: float | None = None,
+) -> dict[str, Any]:
+    """Evaluate the region and each of its range bins; returns the fields of a :class:`~farfield.metrics.Result`.
+
+    Args:
+        predictions: Scored boxes by (sequence, frame).
+        annotations: Annotated boxes by (sequence, frame): every frame that counts.
+        settings: The options.
+        protocol: What the result is to be called.
+        drives: Drives of the data, which the bootstrap draws; without them sequences are drawn.
+        reach_m: Range bins that begin here or beyond are not in the mean of the bins.
+
+    Raises:
+        ConfigError: If predictions lie in frames that are not annotated, or lack scores.
+    """
+    # 1. Gather the boxes of the class in the region.
+    scene = gather(predictions, annotations, settings, drives)
+    # 2, 3. Match them, and rank matches and false positives of the region and of each range bin.
+    parts = rank_parts(scene, settings)
+    # 4. Average over the curves: the figures under weights of 1, and their intervals over draws of the drives.
+    figures = partial(part_figures, parts, settings, bins_in_reach(settings, reach_m))
+    point, intervals = point_and_intervals(figures, scene.n_groups, settings.bootstrap)
+    frames = np.union1d(scene.predicted_frame, scene.annotated_frame[~scene.ignored])
+    counts = {
+        name: {"annotated": part.annotated, "predictions": part.predicted, "ignored": part.ignored}
+        for name, part in parts.items()
+    }
+    return {
+        "protocol": protocol,
+        "label": settings.label,
+        "settings": settings.to_json(),
+        "convention": settings.convention(),
+        "figures": point["overall"],
+        "ranges": {name: values for name, values in point.items() if name not in ("overall", "mean_of_bins")},
+        "mean_of_bins": point["mean_of_bins"],
+        "counts": {
+            "frames": len(frames),
+            "frames_given": len(annotations),
+            **counts.pop("overall"),
+            "predictions_over_limit": scene.over_limit,
+            "ranges": counts,
+        },
+        "intervals": intervals,
+        "grouped_by": scene.grouped_by,
+        "curves": {name: _curves(part, settings) for name, part in parts.items()},
+        "notes": tuple(low_recall_notes(parts, point, settings)),
+    }
+
+
+# Step 1: gather
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CentreScene:
+    """Predicted and annotated boxes of all frames, with the frame of each.
+
+    Args:
+        predicted: n predictions with scores.
+        predicted_frame: Frame number of each, shape (n,).
+        annotated: m annotated boxes, those to be ignored included.
+        annotated_frame: Frame number of each, shape (m,).
+        ignored: Which annotated boxes are neither right nor wrong to find, shape (m,).
+        group: Resampling group of each frame, shape (frames,).
+        grouped_by: ``"sequences"``, or ``"frames"`` where there is only one sequence.
+        over_limit: Predictions left out because their frame had too many.
+    """
+
+    predicted: Boxes
+    predicted_frame: Int[np.ndarray, " n"]
+    annotated: Boxes
+    annotated_frame: Int[np.ndarray, " m"]
+    ignored: Bool[np.ndarray, " m"]
+    group: Int[np.ndarray, " frames"]
+    grouped_by: str
+    over_limit: int = 0
+
+    @property
+    def score(self) -> Float[np.ndarray, " n"]:
+        """Scores of the predictions, shape (n,)."""
+        return np.zeros(0) if self.predicted.score is None else self.predicted.score
+
+    @property
+    def n_groups(self) -> int:
+        """Number of resampling groups."""
+        return int(self.group.max()) + 1 if len(self.group) else 0
+
+    def annotated_per_group(self, mask: Bool[np.ndarray, " m"]) -> Int[np.ndarray, " groups"]:
+        """Marked annotated boxes that are not ignored, by group."""
+        return np.bincount(self.group[self.annotated_frame[~self.ignored & mask]], minlength=self.n_groups)
+
+    def cut(self, predicted: Bool[np.ndarray, " n"], annotated: Bool[np.ndarray, " m"]) -> "CentreScene":
+        """Return the scene with the marked boxes only."""
+        if predicted.all() and annotated.all():
+            return self
+        return replace(
+            self,
+            predicted=self.predicted[predicted],
+            predicted_frame=self.predicted_frame[predicted],
+            annotated=self.annotated[annotated],
+            annotated_frame=self.annotated_frame[annotated],
+            ignored=self.ignored[annotated],
+        )
+
+
+def gather(
+    predictions: BoxesByFrame, annotations: BoxesByFrame, settings: CentreSettings, drives: Sequence[Drive] = ()
+) -> CentreScene:
+    """Collect one class from all frames and cut it to the region.
+
+    Args:
+        predictions: Scored boxes by (sequence, frame). A frame without an entry has no detections.
+        annotations: Annotated boxes by (sequence, frame); every frame that counts, the empty ones too.
+        settings: The options.
+        drives: Drives of the data, for resampling.
+
+    Raises:
+        ConfigError: If predictions lie in frames that are not annotated, or lack scores.
+    """
+    check_frames(predictions, annotations)
+    keys = sorted(annotations, key=frame_order)
+    counts = np.zeros((2, len(keys)), dtype=np.int64)  # predictions that count, those over the limit
+    predicted = flatten(_counted_predictions(predictions, keys, settings, counts), scored=True)
+    annotated = flatten((annotations[key] for key in keys), scored=False)
+    annotated_frame = np.repeat(np.arange(len(keys)), [len(annotations[key].yaw_rad) for key in keys])
+    ignored = np.zeros(len(annotated), dtype=bool)
+    for name in settings.ignore:
+        ignored |= has_label(annotated, name, settings.relabel)
+    counted = has_label(annotated, settings.label, settings.relabel) | ignored
+    counted &= _enough_points(annotated, settings.min_points)
+    group, grouped_by = group_frames(keys, drives)
+    scene = CentreScene(
+        predicted=predicted,
+        predicted_frame=np.repeat(np.arange(len(keys)), counts[0]),
+        annotated=annotated,
+        annotated_frame=annotated_frame,
+        ignored=ignored,
+        group=group,
+        grouped_by=grouped_by,
+        over_limit=int(counts[1].sum()),
+    )
+    return scene.cut(np.ones(len(predicted), dtype=bool), counted & in_region(annotated, settings))
+
+
+def _counted_predictions(
+    predictions: BoxesByFrame, keys: Sequence[Key], settings: CentreSettings, counts: Int[np.ndarray, "2 frames"]
+) -> Iterator[Boxes]:
+    """The predictions of each frame that count, and how many those are and how many were over the limit."""
+    for frame, key in enumerate(keys):
+        if key in predictions:
+            boxes = predictions[key]
+            check_scores(boxes)
+            mask = _highest_scores(boxes, settings.max_boxes)
+            counts[1, frame] = len(boxes) - np.count_nonzero(mask)
+            mask &= has_label(boxes, settings.label, settings.relabel) & in_region(boxes, settings)
+            counts[0, frame] = np.count_nonzero(mask)
+            yield boxes[mask]
+
+
+def _highest_scores(boxes: Boxes, limit: int) -> Bool[np.ndarray, " n"]:
+    """Which boxes of a frame are among its best by score."""
+    mask = np.ones(len(boxes), dtype=bool)
+    if len(boxes) > limit and boxes.score is not None:
+        mask[np.argsort(-boxes.score, kind="stable")[limit:]] = False
+    return mask
+
+
+def _enough_points(boxes: Boxes, least: int) -> Bool[np.ndarray, " n"]:
+    if least == 0 or len(boxes) == 0:
+        return np.ones(len(boxes), dtype=bool)
+    if boxes.point_count is None or (boxes.point_count < 0).all():
+        raise ConfigError(f"min_points={least}: expected annotated boxes with point counts, got none that has one")
+    return (boxes.point_count < 0) | (boxes.point_count >= least)
+
+
+# Step 2: match
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GreedyMatches:
-    """What each prediction of a scene took, for every epsilon and threshold.
+    """What each prediction of a scene matches, for every epsilon and threshold.
 
     Args:
         order: Predictions by falling score, shape (n,).
         confidence: Score on the confidence axis of each prediction, shape (n,).
-        taken: Index of the annotated box, NO_MATCH or DROPPED, shape (n,), by (epsilon, threshold).
+        assigned: Index of the annotated box, NO_MATCH or DROPPED, shape (n,), by (epsilon, threshold).
     """
 
     order: Int[np.ndarray, " n"]
     confidence: Float[np.ndarray, " n"]
-    taken: dict[Variant, Int[np.ndarray, " n"]]
+    assigned: dict[Variant, Int[np.ndarray, " n"]]
+
+
+def with_confidences(scene: CentreScene, settings: CentreSettings) -> CentreScene:
+    """Put the scores on the confidence axis, where zero means "nothing" (row 17)."""
+    score = scene.score
+    kind = settings.scores
+    if kind == "auto":
+        kind = "sigmoid" if len(score) and (score.min() < 0 or score.max() > 1) else "raw"
+    if kind == "rank":
+        values, index = np.unique(score, return_inverse=True)
+        score = (index + 1.0) / max(len(values), 1)
+    elif kind == "sigmoid":
+        score = np.exp(-np.logaddexp(0.0, -score))
+    return replace(scene, predicted=scene.predicted.replace(score=score))
+
+
+def match_scene(scene: CentreScene, settings: CentreSettings) -> GreedyMatches:
+    """Match a scene greedily by centre distance for all epsilons and thresholds at once."""
+    variants = [(epsilon, threshold) for epsilon in settings.epsilons for threshold in settings.all_thresholds_m]
+    epsilon = np.array([variant[0] for variant in variants])[:, None]
+    by_annotated = settings.omega_range == "gt"
+    omega = np.exp(epsilon * (scene.annotated if by_annotated else scene.predicted).range_m)
+    limits = Limits(
+        threshold_m=np.array([variant[1] for variant in variants]),
+        omega_annotated=omega if by_annotated else None,
+        omega_predicted=None if by_annotated else omega,
+        normalised=settings.match == "nearest_normalised",
+    )
+    axes = 3 if settings.distance == "3d" else 2
+    order = rank_predictions(scene.score, scene.predicted_frame, ties=settings.ties)
+    assigned = greedy_match(
+        scene.predicted.centre_m[:, :axes],
+        scene.predicted_frame,
+        order,
+        scene.annotated.centre_m[:, :axes],
+        scene.annotated_frame,
+        limits,
+        ignored=scene.ignored,
+    )
+    return GreedyMatches(order=order, confidence=scene.score, assigned=dict(zip(variants, assigned, strict=True)))
+
+
+# Step 3: rank
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,84 +317,64 @@ class PartRankings:
     predicted: int
 
 
-def match_scene(scene: CentreScene, settings: CentreSettings) -> GreedyMatches:
-    """Play the greedy game for all epsilons and thresholds at once."""
-    confidence = scene.score
-    thresholds = list(dict.fromkeys((*settings.thresholds_m, *settings.error_thresholds_m)))
-    variants = [(epsilon, threshold) for epsilon in settings.epsilons for threshold in thresholds]
-    epsilon = np.array([variant[0] for variant in variants])[:, None]
-    by_annotated = settings.omega_range == "gt"
-    omega = np.exp(epsilon * (scene.annotated if by_annotated else scene.predicted).range_m)
-    limits = Limits(
-        threshold_m=np.array([variant[1] for variant in variants]),
-        omega_annotated=omega if by_annotated else None,
-        omega_predicted=None if by_annotated else omega,
-        normalised=settings.match == "nearest_normalised",
-    )
-    axes = 3 if settings.distance == "3d" else 2
-    order = rank_predictions(confidence, scene.predicted_frame, ties=settings.ties)
-    taken = greedy_match(
-        scene.predicted.centre_m[:, :axes],
-        scene.predicted_frame,
-        order,
-        scene.annotated.centre_m[:, :axes],
-        scene.annotated_frame,
-        limits,
-        ignored=scene.ignored,
-    )
-    return GreedyMatches(order=order, confidence=confidence, taken=dict(zip(variants, taken, strict=True)))
+def rank_parts(scene: CentreScene, settings: CentreSettings) -> dict[str, PartRankings]:
+    """The rankings of the region, ``"overall"``, and of each range bin, such as ``"0-70"``.
+
+    A bin is cut out and matched by itself, or the region is matched once and its matches are shared out
+    (``settings.range_assign``).
+    """
+    scene = with_confidences(scene, settings)
+    matches = match_scene(scene, settings)
+    parts = {"overall": rank(scene, matches, settings)}
+    for low_m, high_m in settings.bins_m:
+        name = f"{low_m:g}-{high_m:g}"
+        predicted_in = in_range(scene.predicted, low_m, high_m)
+        annotated_in = in_range(scene.annotated, low_m, high_m)
+        if settings.range_assign == "match_then_bin":
+            parts[name] = rank(scene, matches, settings, predicted_in, annotated_in)
+        elif predicted_in.all() and annotated_in.all():
+            parts[name] = parts["overall"]
+        else:
+            inside = scene.cut(predicted_in, annotated_in)
+            parts[name] = rank(inside, match_scene(inside, settings), settings)
+    return parts
 
 
-def with_confidences(scene: CentreScene, settings: CentreSettings) -> CentreScene:
-    """Put the scores on the confidence axis, where zero means "nothing" (row 17)."""
-    score, kind = scene.score, settings.scores
-    if kind == "auto":
-        kind = "sigmoid" if len(score) and (score.min() < 0 or score.max() > 1) else "raw"
-    if kind == "rank":
-        values, place = np.unique(score, return_inverse=True)
-        score = (place + 1.0) / max(len(values), 1)
-    elif kind == "sigmoid":
-        score = np.exp(-np.logaddexp(0.0, -score))
-    return replace(scene, predicted=scene.predicted.replace(score=score))
-
-
-def whole(scene: CentreScene, matches: GreedyMatches, settings: CentreSettings) -> PartRankings:
-    """All of a scene as one part."""
-    return _part(
-        scene, matches, settings, np.ones(len(scene.predicted), dtype=bool), np.ones(len(scene.annotated), dtype=bool)
-    )
-
-
-def binned(
-    scene: CentreScene, matches: GreedyMatches, settings: CentreSettings, low_m: float, high_m: float
-) -> PartRankings:
-    """One range bin of a scene that was matched as a whole: matches count where their annotated box is."""
-    return _part(
-        scene, matches, settings, in_range(scene.predicted, low_m, high_m), in_range(scene.annotated, low_m, high_m)
-    )
-
-
-def _part(
+def rank(
     scene: CentreScene,
     matches: GreedyMatches,
     settings: CentreSettings,
-    predicted_in: Bool[np.ndarray, " n"],
-    annotated_in: Bool[np.ndarray, " m"],
+    predicted_in: Bool[np.ndarray, " n"] | None = None,
+    annotated_in: Bool[np.ndarray, " m"] | None = None,
 ) -> PartRankings:
+    """Rank the predictions of a matched scene, or of a range bin of it.
+
+    A match counts where its annotated box is, a false positive where it is itself; predictions on ignored boxes count
+    nowhere.
+
+    Args:
+        scene: The scene.
+        matches: What its predictions match.
+        settings: The options.
+        predicted_in: Predictions inside the bin; None: all.
+        annotated_in: Annotated boxes inside the bin; None: all.
+    """
+    predicted_in = np.ones(len(scene.predicted), dtype=bool) if predicted_in is None else predicted_in
+    annotated_in = np.ones(len(scene.annotated), dtype=bool) if annotated_in is None else annotated_in
     per_group = scene.annotated_per_group(annotated_in)
     group = scene.group[scene.predicted_frame]
     rankings, errors = {}, {}
-    for variant, taken in matches.taken.items():
-        hit = taken >= 0
-        inside = predicted_in.copy()
-        inside[hit] = annotated_in[taken[hit]]
-        rows = matches.order[(inside & (taken != DROPPED))[matches.order]]
+    for variant, assigned in matches.assigned.items():
+        is_match = assigned >= 0
+        is_inside = predicted_in.copy()
+        is_inside[is_match] = annotated_in[assigned[is_match]]
+        rows = matches.order[(is_inside & (assigned != DROPPED))[matches.order]]
         rankings[variant] = Ranking(
-            confidence=matches.confidence[rows], is_match=hit[rows], group=group[rows], annotated=per_group
+            confidence=matches.confidence[rows], is_match=is_match[rows], group=group[rows], annotated=per_group
         )
         if variant[1] in settings.error_thresholds_m:
-            rows = rows[hit[rows]]
-            errors[variant] = pair_errors(scene.predicted[rows], scene.annotated[taken[rows]], settings)
+            rows = rows[is_match[rows]]
+            errors[variant] = pair_errors(scene.predicted[rows], scene.annotated[assigned[rows]], settings)
     return PartRankings(
         ranking=rankings,
         error=errors,
@@ -156,129 +398,202 @@ def pair_errors(predicted: Boxes, annotated: Boxes, settings: CentreSettings) ->
     return errors
 
 
-def statistics(part: PartRankings, settings: CentreSettings, weight: Float[np.ndarray, " groups"]) -> Statistics:
-    """All figures of a part under given group weights, None where nothing is annotated.
+def _curves(part: PartRankings, settings: CentreSettings) -> dict[str, dict[str, Ranking]]:
+    """The rankings by epsilon and threshold, as results hold them."""
+    return {
+        f"{epsilon:g}": {str(float(threshold)): part.ranking[epsilon, threshold] for threshold in settings.thresholds_m}
+        for epsilon in settings.epsilons
+    }
+
+
+# Step 4: average
+
+
+def part_figures(
+    parts: Mapping[str, PartRankings], settings: CentreSettings, bins: Sequence[str], weights: Float[np.ndarray, "r g"]
+) -> dict[str, Draws]:
+    """All figures of each part, and their ``"mean_of_bins"``, under each row of group weights.
+
+    Args:
+        parts: The rankings by part.
+        settings: The options.
+        bins: Names of the bins that are averaged.
+        weights: Weights of the groups.
+    """
+    by_identity = {id(part): part for part in parts.values()}  # a bin that holds everything is computed once
+    figures = {key: figures_of_part(part, settings, weights) for key, part in by_identity.items()}
+    named: dict[str, Draws] = {name: figures[id(part)] for name, part in parts.items()}
+    return named | {"mean_of_bins": mean_of_bins([named[name] for name in bins])}
+
+
+def figures_of_part(part: PartRankings, settings: CentreSettings, weights: Float[np.ndarray, "r g"]) -> Draws:
+    """All figures of a part under each row of group weights, NaN where nothing is annotated, each of shape (r,).
 
     Names: ``ap/0.5`` and ``errors/trans_err`` at the first epsilon; ``dds/EPSILON/dds``, ``.../map``, ``.../aiou``, or,
     where aligned IoU is not scored, ``map``, at the first epsilon too.
     """
-    curves = {variant: weighted_curve(ranking, weight) for variant, ranking in part.ranking.items()}
-    figures: Statistics = {}
-    for epsilon in settings.epsilons:
-        error = partial(_error, part, curves, settings, epsilon)
-        precisions = [_precision(curves[epsilon, threshold], settings) for threshold in settings.thresholds_m]
-        if epsilon == settings.epsilons[0]:
-            figures |= {f"ap/{float(t)}": v for t, v in zip(settings.thresholds_m, precisions, strict=True)}
-            figures |= {f"errors/{name}": error(name, "nuscenes") for name in ERRORS}
-        mean_ap = _mean(precisions)
-        if not settings.with_aiou:
-            figures.setdefault("map", mean_ap)
-            continue
-        aiou_err = error("aiou_err", settings.aiou_mean)
-        aiou = None if aiou_err is None else 1.0 - aiou_err
-        figures |= {f"dds/{epsilon:g}/dds": _mean([mean_ap, aiou])}
-        figures |= {f"dds/{epsilon:g}/map": mean_ap, f"dds/{epsilon:g}/aiou": aiou}
-    return figures
+    length = max((len(ranking.confidence) for ranking in part.ranking.values()), default=0)
+    chunks = [_figures_of_chunk(part, settings, rows) for rows in row_chunks(weights, length)]
+    return {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]} if chunks else {}
 
 
-def statistics_of_many(
-    part: PartRankings, settings: CentreSettings, weights: Float[np.ndarray, "r g"]
-) -> dict[str, Float[np.ndarray, " r"]]:
-    """The figures of :func:`statistics` under each row of group weights; NaN where nothing is annotated."""
-    figures: dict[str, np.ndarray] = {}
+def _figures_of_chunk(part: PartRankings, settings: CentreSettings, weights: Float[np.ndarray, "r g"]) -> Draws:
+    figures: dict[str, Float[np.ndarray, " r"]] = {}
     for epsilon in settings.epsilons:
-        first = epsilon == settings.epsilons[0]
-        names = [*(ERRORS if first else ()), *(["aiou_err"] if settings.with_aiou else [])]
-        precisions = {threshold: np.zeros(0) for threshold in settings.thresholds_m}
-        errors: dict[str, list[np.ndarray]] = {name: [] for name in names}
-        for threshold in dict.fromkeys((*settings.thresholds_m, *settings.error_thresholds_m)):
-            area, found = _figures_of_many(part, settings, (epsilon, threshold), names, weights)
-            if threshold in precisions:
-                precisions[threshold] = area
-            for name, values in found.items():
-                errors[name].append(values)
-        mean_ap = _mean_of_many([precisions[threshold] for threshold in settings.thresholds_m])
-        if first:
+        is_first = epsilon == settings.epsilons[0]
+        names = [*(ERRORS if is_first else ()), *(["aiou_err"] if settings.with_aiou else [])]
+        precisions: dict[float, Float[np.ndarray, " r"]] = {}
+        errors: dict[str, list[Float[np.ndarray, " r"]]] = {name: [] for name in names}
+        for threshold in settings.all_thresholds_m:
+            curves = weighted_curves(part.ranking[epsilon, threshold], weights)
+            precisions[threshold] = average_precisions(curves, method=settings.ap)
+            for name in names if threshold in settings.error_thresholds_m else ():
+                method = settings.aiou_mean if name == "aiou_err" else "nuscenes"
+                errors[name].append(mean_errors(curves, part.error[epsilon, threshold][name], method=method))
+        # mAP = mean of AP over the thresholds, aIoU = 1 - mean aligned error, DDS = (mAP + aIoU) / 2
+        mean_ap = _mean([precisions[threshold] for threshold in settings.thresholds_m])
+        if is_first:
             figures |= {f"ap/{float(threshold)}": precisions[threshold] for threshold in settings.thresholds_m}
-            figures |= {f"errors/{name}": _mean_of_many(errors[name]) for name in ERRORS}
-        if not settings.with_aiou:
+            figures |= {f"errors/{name}": _mean(errors[name]) for name in ERRORS}
+        if settings.with_aiou:
+            aiou = 1.0 - _mean(errors["aiou_err"])
+            figures |= {f"dds/{epsilon:g}/dds": _mean([mean_ap, aiou])}
+            figures |= {f"dds/{epsilon:g}/map": mean_ap, f"dds/{epsilon:g}/aiou": aiou}
+        else:
             figures.setdefault("map", mean_ap)
-            continue
-        aiou = 1.0 - _mean_of_many(errors["aiou_err"])
-        figures |= {f"dds/{epsilon:g}/dds": _mean_of_many([mean_ap, aiou])}
-        figures |= {f"dds/{epsilon:g}/map": mean_ap, f"dds/{epsilon:g}/aiou": aiou}
     return figures
 
 
-def _figures_of_many(
-    part: PartRankings,
-    settings: CentreSettings,
-    variant: Variant,
-    names: Sequence[str],
-    weights: Float[np.ndarray, "r g"],
-) -> tuple[Float[np.ndarray, " r"], dict[str, Float[np.ndarray, " r"]]]:
-    """Average precisions of one variant, and its errors where those are taken at its threshold."""
-    areas: list[np.ndarray] = []
-    found: dict[str, list[np.ndarray]] = {name: [] for name in names if variant[1] in settings.error_thresholds_m}
-    for some in shares(part.ranking[variant], weights):
-        curves = weighted_curves(part.ranking[variant], some)
-        areas.append(average_precisions(curves, method=settings.ap))
-        for name, values in found.items():
-            method = settings.aiou_mean if name == "aiou_err" else "nuscenes"
-            values.append(mean_errors(curves, part.error[variant][name], method=method))
-    return np.concatenate(areas), {name: np.concatenate(values) for name, values in found.items()}
-
-
-def _mean_of_many(values: Sequence[Float[np.ndarray, " r"]]) -> Float[np.ndarray, " r"]:
-    """Means of rows, added up in order as :func:`_mean` does; NaN where one is."""
+def _mean(values: Sequence[Float[np.ndarray, " r"]]) -> Float[np.ndarray, " r"]:
+    """Mean of figures row by row, added up in their order; NaN where one is."""
     total = values[0].copy()
-    for each in values[1:]:
-        total += each
+    for value in values[1:]:
+        total += value
     return total / len(values)
 
 
-def mean_of_parts_of_many(
-    parts: Sequence[Mapping[str, Float[np.ndarray, " r"]]],
-) -> dict[str, Float[np.ndarray, " r"]]:
-    """Mean of each figure over the parts that have annotated boxes under a row's weights; NaN where none has."""
+def mean_of_bins(bins: Sequence[Draws]) -> Draws:
+    """Mean of each figure over the bins that have annotated boxes under a row's weights; NaN where none has."""
     means = {}
-    for name in parts[0] if parts else ():
-        total, count = np.zeros(len(parts[0][name])), np.zeros(len(parts[0][name]))
-        for part in parts:
-            known = ~np.isnan(part[name])
-            total[known] += part[name][known]
-            count += known
+    for name in bins[0] if bins else ():
+        total, count = np.zeros(len(bins[0][name])), np.zeros(len(bins[0][name]))
+        for figures in bins:
+            is_known = ~np.isnan(figures[name])
+            total[is_known] += figures[name][is_known]
+            count += is_known
         means[name] = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
     return means
 
 
-def _precision(curve: Curve | None, settings: CentreSettings) -> float | None:
-    return None if curve is None else average_precision(curve, method=settings.ap)
+def bins_in_reach(settings: CentreSettings, reach_m: float | None) -> list[str]:
+    """Names of the bins that begin within the detector's reach."""
+    return [f"{low_m:g}-{high_m:g}" for low_m, high_m in settings.bins_m if reach_m is None or low_m < reach_m]
 
 
-def _error(
-    part: PartRankings,
-    curves: dict[Variant, Curve | None],
+def low_recall_notes(
+    parts: Mapping[str, PartRankings], point: Mapping[str, Statistics], settings: CentreSettings
+) -> list[str]:
+    """Why figures are 0 or 1, the worst, in parts where something was found: recall ends before the averages begin.
+
+    nuScenes' averages begin at a recall of 0.11 (``calc_ap`` and ``calc_tp`` of its devkit).
+    """
+    least = float(RECALL[FIRST])
+    limit = settings.error_thresholds_m[0]
+    notes = list[str]()
+    for name, part in parts.items():
+        ranking = part.ranking[settings.epsilons[0], limit]
+        recall = float(ranking.recall[-1]) if len(ranking.recall) else 0.0
+        is_worst = settings.with_aiou and point[name].get(f"dds/{settings.epsilons[0]:g}/aiou") == 0
+        if part.annotated and 0 < recall < least and (is_worst or not settings.with_aiou):
+            where = "over all ranges" if name == "overall" else f"at {name} m"
+            score = "aIoU counts as 0" if settings.with_aiou else "errors count as 1"
+            notes.append(
+                f"{where} only {recall:.2f} of the {part.annotated} objects are found within {limit:g} m, and "
+                f"averages begin at a recall of {least:g}: AP there is 0, and {score}"
+            )
+    return notes
+
+
+# Intervals over objects
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectIntervals:
+    """Intervals of the figures of all ranges together.
+
+    Args:
+        objects: How many different objects were drawn.
+        intervals: [low, high] by figure, as ``dds/0/dds``; None where two objects or more are wanting.
+    """
+
+    objects: int
+    intervals: Mapping[str, tuple[float, float] | None]
+
+
+def object_intervals(
+    predictions: BoxesByFrame,
+    annotations: BoxesByFrame,
     settings: CentreSettings,
-    epsilon: float,
-    name: str,
-    method: str,
-) -> float | None:
-    values = []
-    for threshold in settings.error_thresholds_m:
-        curve = curves[epsilon, threshold]
-        found = None if curve is None else mean_error(curve, part.error[epsilon, threshold][name], method=method)
-        values.append(found)
-    return _mean(values)
+    *,
+    bootstrap: Bootstrap | None = None,
+) -> ObjectIntervals:
+    """Percentile intervals over drawn objects.
 
+    Args:
+        predictions: Scored boxes by (sequence, frame).
+        annotations: Annotated boxes by (sequence, frame): every frame that counts. Boxes of one sequence with one
+            ``track_id`` are one object; where there are no identities, or they are negative, each box is one, which
+            makes intervals too narrow where frames show the same objects.
+        settings: The options of the score.
+        bootstrap: How to draw; that of the settings unless given.
 
-def _mean(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if len(known) == len(values) and known else None
-
-
-def mean_of_parts(parts: list[Statistics]) -> Statistics:
-    """Mean of each figure over the parts that have annotated boxes; None where none has."""
-    return {
-        name: _mean([part[name] for part in parts if part[name] is not None]) for name in (parts[0] if parts else ())
+    Raises:
+        ConfigError: If predictions lie in frames that are not annotated, or lack scores.
+    """
+    scene = with_confidences(gather(predictions, annotations, settings), settings)
+    part, count = _rank_by_object(scene, match_scene(scene, settings), settings, _object_of_box(scene, annotations))
+    drawing = bootstrap or settings.bootstrap
+    if count < 2 or drawing.replicates < 2:
+        names = figures_of_part(part, settings, np.ones((1, count + 1)))
+        return ObjectIntervals(objects=count, intervals=dict.fromkeys(names))
+    drawn = replicate_weights(count, drawing.replicates, np.random.default_rng(drawing.seed))
+    weights = np.column_stack([drawn, np.ones(len(drawn))])  # the last group is that of false positives
+    spans = {
+        name: percentile_interval(values, drawing.level, least=1)
+        for name, values in figures_of_part(part, settings, weights).items()
     }
+    return ObjectIntervals(
+        objects=count, intervals={name: None if span is None else (span[0], span[1]) for name, span in spans.items()}
+    )
+
+
+def _object_of_box(scene: CentreScene, annotations: BoxesByFrame) -> Int[np.ndarray, " m"]:
+    """A number of the object of each annotated box of the scene: boxes there are known by frame and centre."""
+    number_of: dict[tuple[str, int], int] = {}
+    by_centre: dict[tuple[int, bytes], int] = {}
+    for frame, key in enumerate(sorted(annotations, key=frame_order)):
+        boxes = annotations[key]
+        track_id = np.full(len(boxes), -1) if boxes.track_id is None else boxes.track_id
+        for row, track in enumerate(track_id.tolist()):
+            identity = (f"{key} {row}", -1) if track < 0 else (key[0], track)
+            by_centre[frame, boxes.centre_m[row].tobytes()] = number_of.setdefault(identity, len(number_of))
+    rows = zip(scene.annotated_frame.tolist(), scene.annotated.centre_m, strict=True)
+    return np.array([by_centre[frame, centre.tobytes()] for frame, centre in rows], dtype=np.int64)
+
+
+def _rank_by_object(
+    scene: CentreScene, matches: GreedyMatches, settings: CentreSettings, object_of_box: Int[np.ndarray, " m"]
+) -> tuple[PartRankings, int]:
+    """All of the scene as one part whose groups are the objects, and how many these are."""
+    part = rank(scene, matches, settings)
+    objects = np.unique(object_of_box[~scene.ignored])
+    number = np.searchsorted(objects, object_of_box)  # of ignored boxes' objects: never read, as they are dropped
+    annotated = np.append(np.bincount(number[~scene.ignored], minlength=len(objects)), 0)
+    rankings = {}
+    for variant, ranking in part.ranking.items():
+        assigned = matches.assigned[variant]
+        rows = matches.order[(assigned != DROPPED)[matches.order]]  # the predictions in the order of the ranking
+        group: Int[np.ndarray, " n"] = np.full(len(rows), len(objects))
+        group[ranking.is_match] = number[assigned[rows[ranking.is_match]]]
+        rankings[variant] = replace(ranking, group=group, annotated=annotated)
+    return replace(part, ranking=rankings), len(objects)

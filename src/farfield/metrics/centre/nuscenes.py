@@ -7,17 +7,16 @@ index first). Velocity and attributes are not scored, hence no NDS.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from farfield.frame.drive import Drive
-from farfield.metrics.centre.protocol import CentreProtocol, distance_words, distances, evaluate_centre
+from farfield.metrics.centre.evaluation import evaluate_centre
+from farfield.metrics.centre.protocol import CentrePresenter, CentreProtocol, distance_words, distances
 from farfield.metrics.centre.settings import CentreSettings
+from farfield.metrics.detections import Detections
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.presenting import Presentation
 from farfield.metrics.result import Result, table, value_at
-
-if TYPE_CHECKING:
-    from farfield.metrics.detections import Detections
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,23 +74,12 @@ def evaluate_nuscenes(
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.
     """
     settings = settings or NuScenesSettings()
-    found = evaluate_centre(predictions, annotations, settings, protocol=NuScenes.name, drives=drives, reach_m=reach_m)
-    return NuScenesResult(**found)
+    fields = evaluate_centre(predictions, annotations, settings, protocol=NuScenes.name, drives=drives, reach_m=reach_m)
+    return NuScenesResult(**fields)
 
 
-class NuScenes(CentreProtocol):
-    """The detection metrics of nuScenes."""
-
-    name = "nuscenes"
-    Settings = NuScenesSettings
-
-    def evaluate(self, found: "Detections", settings: NuScenesSettings) -> NuScenesResult:
-        """AP by threshold and errors, by range."""
-        return evaluate_nuscenes(found.boxes, found.annotated, settings, drives=found.drives, reach_m=found.reach_m)
-
-    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
-        """The mean AP."""
-        return {"map": value_at(result, "map")}
+class NuScenesPresenter(CentrePresenter):
+    """How NuScenes is shown."""
 
     def title(self, figure: str) -> str:
         """mAP, AP with its distance, the errors in full."""
@@ -106,7 +94,7 @@ class NuScenes(CentreProtocol):
         return {"errors/trans_err": "m", "errors/orient_err": "rad"}.get(figure, "")
 
     def presentation(self, result: Mapping[str, Any]) -> Presentation:
-        """Mean AP and the APs, then the errors of what was found."""
+        """Mean AP and the APs, then the errors of what was detections."""
         limit = (result.get("settings") or {}).get("aiou_threshold_m", 2.0)
         within = f" within {limit:g} m" if isinstance(limit, int | float) else ""
         return Presentation(
@@ -116,7 +104,7 @@ class NuScenes(CentreProtocol):
             parts=tuple(f"errors/{name}" for name in result.get("errors") or ()),
             parts_title="Errors of what was found",
             about_parts=f"Means over the matches{within}: distance of the centres, 1 less the overlap of the sizes, "
-            "difference of the headings. Smaller is better; 1 stands where too little was found.",
+            "difference of the headings. Smaller is better; 1 stands where too little was detections.",
             about_curves="Each line allows another distance between the predicted and the annotated centre.",
             glossary=(
                 (
@@ -127,6 +115,24 @@ class NuScenes(CentreProtocol):
                 ("mAP", "The mean of the APs over these distances, of one class."),
             ),
         )
+
+
+class NuScenes(CentreProtocol):
+    """The detection metrics of nuScenes."""
+
+    name = "nuscenes"
+    Settings = NuScenesSettings
+    presenter = NuScenesPresenter()
+
+    def evaluate(self, detections: Detections, settings: NuScenesSettings) -> NuScenesResult:
+        """AP by threshold and errors, by range."""
+        return evaluate_nuscenes(
+            detections.boxes, detections.annotated, settings, drives=detections.drives, reach_m=detections.reach_m
+        )
+
+    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
+        """The mean AP."""
+        return {"map": value_at(result, "map")}
 
     def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
         """Besides those of every protocol: how boxes are aligned, and how a distance that does not grow would."""

@@ -40,7 +40,7 @@ class CentreSettings:
         distance: Between centres in ``"3d"`` or in the x-y plane, ``"bev"`` (row 1).
         omega_range: d is the 2D range of the annotated (``"gt"``) or predicted box (``"pred"``) (row 2).
         match: The nearest free box by distance, or by distance over omega (row 3).
-        ap: Area under the curve (row 4), see :func:`farfield.metrics.curves.average_precision`.
+        ap: Area under the curve (row 4), see :func:`farfield.metrics.curves.average_precisions`.
         aiou: Aligned IoU with yaw kept, of sizes alone, or in the x-y plane with yaw (row 6).
         aiou_threshold_m: Matches whose aIoU and errors are taken: a threshold, or ``"all"`` for the mean over
             ``thresholds_m`` (row 7). Omega widens it too.
@@ -113,6 +113,11 @@ class CentreSettings:
     def error_thresholds_m(self) -> tuple[float, ...]:
         """Thresholds at whose matches aIoU and errors are taken."""
         return self.thresholds_m if self.aiou_threshold_m == "all" else (float(self.aiou_threshold_m),)
+
+    @property
+    def all_thresholds_m(self) -> tuple[float, ...]:
+        """Thresholds at which boxes are matched: those whose AP is averaged, then those of the errors."""
+        return tuple(dict.fromkeys((*self.thresholds_m, *self.error_thresholds_m)))
 
     def to_json(self) -> dict[str, Any]:
         """All options as JSON values."""

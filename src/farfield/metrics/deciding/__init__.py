@@ -10,10 +10,20 @@ rows and all seeds. The interval D +- t(0.975, df) sqrt(variance) decides: it li
     print(decide(gain.with_pooled(spread)))                     # +0.051 [+0.020, +0.083], n 3: holds
 """
 
-from farfield.metrics.deciding.decision import Decision, Hypothesis, decide, holm
-from farfield.metrics.deciding.difference import Difference, Spread, difference, difference_of, measured, pooled
-from farfield.metrics.deciding.power import half_width, power
-from farfield.metrics.deciding.samples import Scalar, ScoreSample, figure, sample, samples
+from farfield.metrics.deciding.decision import Decision, Hypothesis, decide, half_width, holm, power
+from farfield.metrics.deciding.difference import (
+    Difference,
+    Scalar,
+    ScoreSample,
+    Spread,
+    difference,
+    difference_of,
+    figure,
+    measured,
+    pooled,
+    sample,
+    samples,
+)
 from farfield.metrics.deciding.switching import SwitchingResult, best_by, switched, switching_gains
 
 __all__ = [

@@ -1,17 +1,264 @@
 """Differences between two rows of a table, paired by seed, and how far they scatter."""
 
-from collections.abc import Callable, Iterable, Sequence
+import hashlib
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import stats
 
 from farfield.errors import ConfigError
-from farfield.metrics.deciding.samples import REPLICATES, Scalar, ScoreSample, drawn_values, sample
-from farfield.metrics.detections import Detections
-from farfield.metrics.protocol import Protocol
+from farfield.frame.drive import Key
+from farfield.metrics.bootstrap import Draws, Statistics, Weighted, evaluate_once, replicate_weights
+from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
+from farfield.metrics.frames import frame_order
+
+# MERGED """One number of a run, and the same number under draws of its sequences."""
+
+REPLICATES = 1000
+"""Draws of the sequences."""
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """One number of a protocol's result: a figure of a part, or a sum of several, each with a factor.
+
+    Args:
+        terms: Part (``"overall"``, ``"0-70"``, ``"mean_of_bins"``, ``"weather/fog"``), name of the figure
+            (``"dds/0/dds"``, ``"ap/vehicle/3d/0.3"``) and factor of each.
+    """
+
+    terms: tuple[tuple[str, str, float], ...]
+
+    def __add__(self, other: "Scalar") -> "Scalar":
+        return Scalar(self.terms + other.terms)
+
+    def __sub__(self, other: "Scalar") -> "Scalar":
+        return Scalar(self.terms + tuple((part, name, -factor) for part, name, factor in other.terms))
+
+    def __str__(self) -> str:
+        words = [f"{factor:+g} {name} ({part})" for part, name, factor in self.terms]
+        return " ".join(words).removeprefix("+1 ").replace("+1 ", "+ ").replace("-1 ", "- ")
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The parts of the result in which it has a term."""
+        return tuple(dict.fromkeys(part for part, _, _ in self.terms))
+
+    def of(self, parts: Mapping[str, Statistics]) -> float | None:
+        """Its value among the figures of the parts; None where one of them is None.
+
+        Raises:
+            ConfigError: If a part has no such figure.
+        """
+        rows = {
+            part: {name: np.array([np.nan if value is None else value]) for name, value in parts[part].items()}
+            for part in self.parts
+        }
+        value = float(self.under(rows)[0])
+        return None if np.isnan(value) else value
+
+    def under(self, parts: Mapping[str, Draws]) -> Float[np.ndarray, " r"]:
+        """Its values among the figures of the parts under each row of weights; NaN where one of them is NaN.
+
+        Raises:
+            ConfigError: If a part has no such figure.
+        """
+        total = np.zeros(1)
+        for part, name, factor in self.terms:
+            if name not in parts[part]:
+                raise ConfigError(f"figure of {part}: expected one of {', '.join(parts[part])}; got {name!r}")
+            total = total + factor * parts[part][name]
+        return total
+
+
+def figure(name: str, part: str = "overall") -> Scalar:
+    """A figure of a result; differences and sums of figures are scalars too.
+
+    >>> str(figure("dds/0/dds", "0-70") - figure("dds/0/dds", "70-150"))
+    'dds/0/dds (0-70) - dds/0/dds (70-150)'
+
+    Args:
+        name: Its name in the result.
+        part: The range bin (``"0-70"``) or condition (``"weather/fog"``) if not of the whole.
+    """
+    return Scalar(((part, name, 1.0),))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoreSample:
+    """One number of one run.
+
+    Args:
+        value: The number; None where nothing is annotated.
+        draws: The number under each draw of the sequences, NaN where nothing is annotated among them.
+        drawn: What was drawn and how; samples of another ``drawn`` cannot be compared.
+        grouped_by: ``"sequences"``, or ``"frames"`` where there is only one sequence.
+        groups: How many of them.
+    """
+
+    value: float | None
+    draws: Float[np.ndarray, " replicates"]
+    drawn: str
+    grouped_by: str
+    groups: int
+
+
+def sample(
+    found: Detections,
+    scalar: Scalar,
+    *,
+    protocol: str | Protocol = "dds",
+    replicates: int = REPLICATES,
+    seed: int = 0,
+    **settings: Any,
+) -> ScoreSample:
+    """One number of a run under its own sequences and under draws of them.
+
+    Only the parts that the number needs are evaluated; fewer ``epsilons`` or ``ious`` among the settings save time.
+
+    Args:
+        found: What a detector found.
+        scalar: The number.
+        protocol: The protocol or its name.
+        replicates: How many draws.
+        seed: Seed of the draws: equal seeds draw equally from equal frames.
+        **settings: Settings of the protocol.
+
+    Raises:
+        ConfigError: If the protocol, a setting, a part or a figure is unknown, or the protocol cannot be resampled.
+    """
+    return samples(found, {"": scalar}, protocol=protocol, replicates=replicates, seed=seed, **settings)[""]
+
+
+def samples(
+    found: Detections,
+    scalars: Mapping[str, Scalar],
+    *,
+    protocol: str | Protocol = "dds",
+    replicates: int = REPLICATES,
+    seed: int = 0,
+    frames: Collection[Key] | None = None,
+    **settings: Any,
+) -> dict[str, ScoreSample]:
+    """Several numbers of a run, each part of the result evaluated once a draw.
+
+    Args:
+        found: What a detector found.
+        scalars: The numbers by name.
+        protocol: The protocol or its name.
+        replicates: How many draws.
+        seed: Seed of the draws.
+        frames: Only these frames count, though sequences are drawn as if all did; None: all.
+        **settings: Settings of the protocol.
+
+    Raises:
+        ConfigError: As of :func:`sample`.
+    """
+    chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
+    counted = found.counted()
+    resolved = chosen.settings(counted, **settings)
+    weighted = chosen.weighted(counted, resolved)
+    keys = sorted(counted.annotations, key=frame_order)
+    groups, text = max(weighted.groups, default=-1) + 1, repr([*zip(keys, weighted.groups, strict=True)])
+    digest = hashlib.sha256(f"{text}{replicates} {seed}".encode()).hexdigest()[:16]
+    grouped_by = weighted.grouped_by
+    index: Int[np.ndarray, " some"] | None = None
+    if frames is not None:
+        weighted, index = _of_frames(chosen, counted, resolved, weighted, keys, frames)
+    parts = tuple(dict.fromkeys(part for scalar in scalars.values() for part in scalar.parts))
+    unknown = [part for part in parts if part not in weighted.parts]
+    if unknown:
+        raise ConfigError(f"part: expected some of {', '.join(weighted.parts)}; got {', '.join(unknown)}")
+    beyond = _beyond_reach(resolved, found.reach_m)
+    figures = partial(_scalars_under, weighted, scalars, tuple(part for part in parts if part not in beyond), index)
+    drawn = replicate_weights(groups, replicates, np.random.default_rng(seed)) if groups else np.zeros((replicates, 0))
+    values = evaluate_once(figures, np.concatenate([np.ones((1, groups)), drawn]))[""]
+    return {
+        name: ScoreSample(
+            value=None if np.isnan(values[name][0]) else float(values[name][0]),
+            draws=values[name][1:],
+            drawn=digest,
+            grouped_by=grouped_by,
+            groups=groups,
+        )
+        for name in scalars
+    }
+
+
+def _scalars_under(
+    weighted: Weighted,
+    scalars: Mapping[str, Scalar],
+    parts: Sequence[str],
+    index: Int[np.ndarray, " some"] | None,
+    weights: Float[np.ndarray, "r g"],
+) -> dict[str, Draws]:
+    """The numbers by name, under one empty part, for each row of group weights; NaN where they are not known.
+
+    Args:
+        weighted: The protocol's figures.
+        scalars: The numbers.
+        parts: Parts that are evaluated; a number of any other part is not known.
+        index: Group of the whole of each group of ``weighted``, where its frames are some of the whole; None: equal.
+        weights: Weights of the groups of the whole.
+    """
+    weights = weights if index is None else weights[:, index]
+    if not weights.shape[1]:
+        return {"": {name: np.full(len(weights), np.nan) for name in scalars}}
+    figures = {part: weighted.parts[part](weights) for part in parts}
+    return {
+        "": {
+            name: scalar.under(figures) if set(scalar.parts) <= set(parts) else np.full(len(weights), np.nan)
+            for name, scalar in scalars.items()
+        }
+    }
+
+
+def _of_frames(
+    protocol: Protocol, found: Detections, settings: Any, whole: Weighted, keys: Sequence[Key], frames: Collection[Key]
+) -> tuple[Weighted, Int[np.ndarray, " some"]]:
+    """The figures of some frames, and of each of their groups which one of the whole it is."""
+    selected = [key for key in keys if key in frames]
+    some = replace(
+        found,
+        boxes={key: found.boxes[key] for key in selected},
+        annotations={key: found.annotations[key] for key in selected},
+    )
+    weighted = protocol.weighted(some, settings)
+    group_of = dict(zip(keys, whole.groups, strict=True))
+    index = np.zeros(max(weighted.groups, default=-1) + 1, dtype=np.int64)
+    index[list(weighted.groups)] = [group_of[key] for key in selected]
+    return weighted, index
+
+
+def drawn_values(
+    value_of: Callable[[Float[np.ndarray, " groups"]], float | None],
+    groups: int,
+    *,
+    replicates: int = REPLICATES,
+    seed: int = 0,
+) -> Float[np.ndarray, " replicates"]:
+    """A number under draws of groups, NaN where it is None."""
+    known: dict[bytes, float] = {}  # few groups are drawn alike again and again
+    values = np.full(replicates, np.nan)
+    weights = replicate_weights(groups, replicates, np.random.default_rng(seed)) if groups else np.zeros((0, 0))
+    for row, weight in enumerate(weights):
+        key = weight.tobytes()
+        if key not in known:
+            value = value_of(weight)
+            known[key] = np.nan if value is None else value
+        values[row] = known[key]
+    return values
+
+
+def _beyond_reach(settings: Any, reach_m: float | None) -> set[str]:
+    """Range bins that begin beyond the detector's reach: they have no figure in a result either."""
+    bins_m = getattr(settings, "bins_m", ())
+    return {f"{low_m:g}-{high_m:g}" for low_m, high_m in bins_m if reach_m is not None and low_m >= reach_m}
+
 
 LEVEL = 0.95
 _OUTLIER = 2.0  # a pair whose own spread is so many times the pooled one keeps its own

@@ -12,12 +12,10 @@ import numpy as np
 from farfield.errors import ConfigError
 from farfield.frame.drive import Key
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.deciding.difference import Difference, difference
-from farfield.metrics.deciding.samples import REPLICATES, Scalar, figure
-from farfield.metrics.detections import Detections
+from farfield.metrics.breakdown import parts
+from farfield.metrics.deciding.difference import REPLICATES, Difference, Scalar, difference, figure
+from farfield.metrics.detections import Detections, Protocol
 from farfield.metrics.frames import frame_order, group_frames
-from farfield.metrics.parts import parts
-from farfield.metrics.protocol import Protocol
 
 DDS = figure("dds/0/dds")
 

@@ -2,61 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from farfield.frame.annotation import Annotation
 from farfield.metrics.bootstrap import Weighted
-from farfield.metrics.kitti.evaluation import KittiResult, evaluate_kitti, weighted_kitti
-from farfield.metrics.kitti.settings import KittiSettings
-from farfield.metrics.presenting import CurveLine, CurvePanel, HitRule, Presentation, panels
-from farfield.metrics.protocol import Protocol
+from farfield.metrics.detections import Detections, Protocol
+from farfield.metrics.kitti.evaluation import KittiResult, KittiSettings, evaluate_kitti, weighted_kitti
+from farfield.metrics.presenting import CurveLine, CurvePanel, HitRule, Presentation, Presenter, panels
 from farfield.metrics.result import figure_names, value_at
-
-if TYPE_CHECKING:
-    from farfield.metrics.detections import Detections
 
 FACTS = ("truncation", "occlusion", "box_px")
 
 
-class KittiProtocol(Protocol):
-    """KITTI's average precision."""
+class KittiPresenter(Presenter):
+    """How KittiProtocol is shown."""
 
-    name = "kitti"
-    Settings = KittiSettings
-    uses = frozenset({"details"})
     per_cent = True
-
-    def evaluate(self, found: "Detections", settings: KittiSettings) -> KittiResult:
-        """AP by overlap, recall points and difficulty; one difficulty, and a note, where there are no 2D facts."""
-        result = evaluate_kitti(
-            found.boxes,
-            found.annotated,
-            settings,
-            prediction_details=found.prediction_details,
-            annotation_details={key: facts_of(annotation) for key, annotation in found.annotations.items()},
-            drives=found.drives,
-        )
-        some = [annotation for annotation in found.annotations.values() if len(annotation)]
-        if not some or all(name in annotation.details for annotation in some for name in FACTS):
-            return result
-        note = f"boxes are annotated without {', '.join(FACTS)}, so all are of one difficulty, all"
-        return replace(result, notes=(*result.notes, note))
-
-    def weighted(self, found: "Detections", settings: KittiSettings) -> Weighted:
-        """AP of the whole and of each range bin as functions of group weights."""
-        return weighted_kitti(
-            found.boxes,
-            found.annotated,
-            settings,
-            prediction_details=found.prediction_details,
-            annotation_details={key: facts_of(annotation) for key, annotation in found.annotations.items()},
-            drives=found.drives,
-        )
-
-    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
-        """AP over 40 recalls: in space before from above, moderate before the other difficulties."""
-        names = [name for name in figure_names(result) if "_r40/" in name]
-        return {name: value_at(result, name) for name in sorted(names, key=_rank)}
 
     def title(self, figure: str) -> str:
         """Overlap, recall points and difficulty: ``AP3D R40 moderate``."""
@@ -73,7 +34,6 @@ class KittiProtocol(Protocol):
         overlap = f"more than {least:g}" if isinstance(least, int | float) else "enough"
         old = [name for name in figure_names(result) if "_r11/" in name]
         return Presentation(
-            figures=tuple(self.headline(result)),
             about=f"A prediction finds a box that it overlaps by {overlap}, in space (AP3D) or seen from above "
             "(APBEV). R40 is the mean precision at 40 recalls.",
             parts=tuple(sorted(old, key=_rank)),
@@ -89,6 +49,47 @@ class KittiProtocol(Protocol):
         known = (result.get("curves") or {}).get("overall") or {}
         named = {_MEASURES.get(name, name): known[name] for name in sorted(known)}
         return [CurvePanel(panel.title, _moderate_first(panel.lines)) for panel in panels(named)]
+
+
+class KittiProtocol(Protocol):
+    """KITTI's average precision."""
+
+    name = "kitti"
+    Settings = KittiSettings
+    presenter = KittiPresenter()
+    uses = frozenset({"details"})
+
+    def evaluate(self, detections: Detections, settings: KittiSettings) -> KittiResult:
+        """AP by overlap, recall points and difficulty; one difficulty, and a note, where there are no 2D facts."""
+        result = evaluate_kitti(
+            detections.boxes,
+            detections.annotated,
+            settings,
+            prediction_details=detections.prediction_details,
+            annotation_details={key: facts_of(annotation) for key, annotation in detections.annotations.items()},
+            drives=detections.drives,
+        )
+        some = [annotation for annotation in detections.annotations.values() if len(annotation)]
+        if not some or all(name in annotation.details for annotation in some for name in FACTS):
+            return result
+        note = f"boxes are annotated without {', '.join(FACTS)}, so all are of one difficulty, all"
+        return replace(result, notes=(*result.notes, note))
+
+    def weighted(self, detections: Detections, settings: KittiSettings) -> Weighted:
+        """AP of the whole and of each range bin as functions of group weights."""
+        return weighted_kitti(
+            detections.boxes,
+            detections.annotated,
+            settings,
+            prediction_details=detections.prediction_details,
+            annotation_details={key: facts_of(annotation) for key, annotation in detections.annotations.items()},
+            drives=detections.drives,
+        )
+
+    def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
+        """AP over 40 recalls: in space before from above, moderate before the other difficulties."""
+        names = [name for name in figure_names(result) if "_r40/" in name]
+        return {name: value_at(result, name) for name in sorted(names, key=_rank)}
 
 
 _MEASURES = {"3d": "AP3D", "bev": "APBEV"}

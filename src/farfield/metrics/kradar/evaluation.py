@@ -1,35 +1,38 @@
 """K-Radar's average precision (Paek et al., NeurIPS 2022): AP3D and AP_BEV by class, overlap and condition.
 
-The measure is KITTI's: annotated boxes choose predictions, precision is sampled at 41 recalls. Protocol ``kradar``
-takes boxes as they stand, the mean over 40 recalls, and every frame; the ``kradar-compat`` variants repeat what
-K-Radar's development kit computes, see :mod:`farfield.metrics.kradar.settings`. Figures lie in [0, 1], the table shows
-per cent.
+A prediction matches an annotated box of its class whose exact rotated IoU with it exceeds 0.3, 0.5 or 0.7:
+
+    IoU(a, b) = |a and b| / |a or b|,   in the x-y plane ("bev") or in space ("3d")
+
+The measure is KITTI's: annotated boxes choose predictions (:mod:`farfield.metrics.kradar.matching`), precision is
+sampled at 41 recalls and averaged (:mod:`farfield.metrics.recall_sampling`). Protocol ``kradar`` takes boxes as they
+stand, the mean over 40 recalls, and every frame; the ``kradar-compat`` variants repeat what K-Radar's development kit
+computes, see :mod:`farfield.metrics.kradar.settings`. Figures lie in [0, 1], the table shows per cent.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from farfield.frame.drive import Drive, Key
-from farfield.metrics.bootstrap import Bootstrap, Statistics, Weighted, intervals
-from farfield.metrics.counts import ThresholdCounts, recall_mean, shifted
+from farfield.metrics.bootstrap import Draws, Statistics, Weighted, point_and_intervals
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.kradar.conditions import group_conditions
-from farfield.metrics.kradar.counting import MEASURES, ClassMatches, count, match
 from farfield.metrics.kradar.frames import KRadarFrames, Visibility, gather_kradar
+from farfield.metrics.kradar.matching import OverlapGains, gains
 from farfield.metrics.kradar.settings import KRadarSettings
+from farfield.metrics.recall_sampling import ThresholdCounts, sample_thresholds
 from farfield.metrics.result import Result, nest, table
 from farfield.vocabulary.conditions import CONDITIONS, condition_name
 
-__all__ = ["KRadarResult", "KRadarSettings", "evaluate_kradar"]
-
-_SEEN_BY = ("R", "L", "L1")
-_NAMES = {"R": "seen by the radar", "L": "seen by the LiDAR alone", "L1": "visibility not known"}
-_Counts = dict[tuple[str, float], ThresholdCounts]
+MEASURES = ("3d", "bev")
+_VISIBILITY = {"R": "seen by the radar", "L": "seen by the LiDAR alone", "L1": "visibility not known"}
+_ClassCounts = dict[tuple[str, float], ThresholdCounts]  # by measure and overlap
+_PartCounts = dict[str, _ClassCounts]  # by class
 Conditions = Mapping[Key, Mapping[str, str]]
 
 
@@ -57,9 +60,10 @@ class KRadarResult(Result):
         """The result as JSON values, see :meth:`Result.to_json`; with ``conditions`` and ``visibility``."""
         tree = super().to_json()
         tree["conditions"] = {
-            kind: {value: _known(part) for value, part in parts.items()} for kind, parts in self.conditions.items()
+            kind: {value: _nest_or_none(part) for value, part in parts.items()}
+            for kind, parts in self.conditions.items()
         }
-        tree["visibility"] = {name: _known(part) for name, part in self.visibility.items()}
+        tree["visibility"] = {name: _nest_or_none(part) for name, part in self.visibility.items()}
         return tree
 
     def parts(self) -> Iterator[tuple[str, str, Statistics, Mapping[str, Any]]]:
@@ -71,7 +75,7 @@ class KRadarResult(Result):
             for value, part in values.items():
                 yield f"{kind}/{value}", f"{kind}: {value}", part, self.counts["conditions"][kind][value]
         for name, part in self.visibility.items():
-            yield f"visibility/{name}", _NAMES.get(name, name), part, self.counts["visibility"][name]
+            yield f"visibility/{name}", _VISIBILITY.get(name, name), part, self.counts["visibility"][name]
 
     def _table(self, label: str) -> str:
         names = [(measure, f"{iou:g}") for measure in MEASURES for iou in self.settings["ious"]]
@@ -116,16 +120,22 @@ def evaluate_kradar(
         ConfigError: If predictions lie in frames that are not annotated, lack scores, or the visibility does not fit.
     """
     settings = settings or KRadarSettings()
+    # 1. Gather the boxes of the classes in the region, with the overlap of each pair of a frame.
     data = gather_kradar(predictions, annotations, settings, visibility, drives)
-    counted, counts = _all_counts(data, settings, conditions or {}, with_visibility=visibility is not None)
-    figures = {part: _figures(found, settings) for part, found in counted.items()}
+    # 2. Match, and count true and false positives at the thresholds of 41 recalls, in all frames and in each subset.
+    is_drawn = settings.bootstrap.replicates > 0
+    tally = _count_parts(data, settings, conditions or {}, with_visibility=visibility is not None, by_group=is_drawn)
+    # 3. Average precision over recalls, for weights of 1 (the figures) and for draws of the drives (the intervals).
+    figures, intervals = point_and_intervals(
+        partial(_part_figures, tally.parts, settings), tally.groups, settings.bootstrap
+    )
     ranges = {f"{low:g}-{high:g}": figures.pop(f"{low:g}-{high:g}") for low, high in settings.bins_m}
     by_kind: dict[str, dict[str, Statistics]] = {}
     for part in figures:
         kind, _, value = part.partition("/")
         if value:
             by_kind.setdefault(kind, {})[value] = figures[part]
-    seen = by_kind.pop("visibility", {})
+    by_visibility = by_kind.pop("visibility", {})
     return KRadarResult(
         protocol=protocol,
         label=settings.label,
@@ -134,11 +144,11 @@ def evaluate_kradar(
         figures=figures["overall"],
         ranges=ranges,
         conditions=by_kind,
-        visibility=seen,
-        counts=_nested(counts, len(annotations), data.cut),
-        intervals=_intervals(counted, figures | ranges, data, settings),
+        visibility=by_visibility,
+        counts=_nested(tally.counts, len(annotations), data.cut),
+        intervals=intervals if is_drawn else {},
         grouped_by=data.grouped_by,
-        curves={"overall": _curves(counted["overall"])},
+        curves={"overall": _curves(tally.parts["overall"])},
     )
 
 
@@ -153,38 +163,36 @@ def weighted_kradar(
 ) -> Weighted:
     """The figures as functions of group weights; the arguments are those of :func:`evaluate_kradar`."""
     data = gather_kradar(predictions, annotations, settings, visibility, drives)
-    by_group = replace(settings, bootstrap=Bootstrap(replicates=2))  # counts are kept by group
-    counted, _ = _all_counts(data, by_group, conditions or {}, with_visibility=visibility is not None)
-    parts = {
-        name: partial(_moved_part, name, *_drawing({name: found}, data, settings)) for name, found in counted.items()
-    }
-    return Weighted(parts=parts, groups=tuple(data.group.tolist()), grouped_by=data.grouped_by)
+    with_visibility = visibility is not None
+    tally = _count_parts(data, settings, conditions or {}, with_visibility=with_visibility, by_group=True)
+    figures = {part: partial(_figures, counted, settings) for part, counted in tally.parts.items()}
+    return Weighted(parts=figures, groups=tuple(data.group.tolist()), grouped_by=data.grouped_by)
 
 
-_Parts = dict[str, dict[str, _Counts]]
+# Step 2: match and count
 
 
-def _all_counts(
-    data: KRadarFrames, settings: KRadarSettings, conditions: Conditions, *, with_visibility: bool
-) -> tuple[_Parts, dict[str, dict[str, Any]]]:
+def _count_parts(
+    data: KRadarFrames, settings: KRadarSettings, conditions: Conditions, *, with_visibility: bool, by_group: bool
+) -> "_ThresholdTally":
     """Counts at thresholds by part and class, and the numbers of frames and boxes by part."""
-    tally = _ThresholdTally(data, drawn=settings.bootstrap.replicates > 0)
+    tally = _ThresholdTally(data, by_group=by_group)
     subsets = list(_subsets(data, conditions))
     for kind, label in enumerate(settings.classes):
-        whole = match(data, settings, kind)
-        tally.add("overall", label, whole)
-        for part, inside in subsets:
-            tally.add(part, label, whole, inside)
+        matches = match(data, settings, kind)
+        tally.add("overall", label, matches)
+        for part, frames in subsets:
+            tally.add(part, label, matches, frames)
         for low_m, high_m in settings.bins_m:
-            near = {
-                name: (side.range_m >= low_m) & (side.range_m < high_m)
-                for name, side in (("predicted_in", data.predicted), ("annotated_in", data.annotated))
+            masks = {
+                name: (boxes.range_m >= low_m) & (boxes.range_m < high_m)
+                for name, boxes in (("predicted_in", data.predicted), ("annotated_in", data.annotated))
             }
-            tally.add(f"{low_m:g}-{high_m:g}", label, match(data, settings, kind, **near))
-        for name in _SEEN_BY if with_visibility else ():
-            unlike = data.annotated.seen_by != name
-            tally.add(f"visibility/{name}", label, match(data, settings, kind, optional=unlike))
-    return tally.parts, tally.counts
+            tally.add(f"{low_m:g}-{high_m:g}", label, match(data, settings, kind, **masks))
+        for name in _VISIBILITY if with_visibility else ():
+            others = data.annotated.seen_by != name
+            tally.add(f"visibility/{name}", label, match(data, settings, kind, optional=others))
+    return tally
 
 
 class _ThresholdTally:
@@ -192,17 +200,17 @@ class _ThresholdTally:
 
     Args:
         data: All frames.
-        drawn: Whether intervals are drawn, so that counts are kept by group.
+        by_group: Whether counts are kept by group, as draws of groups need them.
     """
 
-    def __init__(self, data: KRadarFrames, *, drawn: bool) -> None:
+    def __init__(self, data: KRadarFrames, *, by_group: bool) -> None:
         self.data = data
-        self.group = data.group if drawn else np.zeros(len(data.keys), dtype=np.int64)
-        self.groups = data.groups if drawn else 1
-        self.parts: _Parts = {}
+        self.group = data.group if by_group else np.zeros(len(data.keys), dtype=np.int64)
+        self.groups = data.groups if by_group else 1
+        self.parts: dict[str, _PartCounts] = {}
         self.counts: dict[str, dict[str, Any]] = {}
 
-    def add(self, part: str, label: str, matched: ClassMatches, inside: Bool[np.ndarray, " f"] | None = None) -> None:
+    def add(self, part: str, label: str, matched: "ClassMatches", inside: Bool[np.ndarray, " f"] | None = None) -> None:
         """Count one class in one part: in all frames, or in those marked."""
         self.parts.setdefault(part, {})[label] = count(matched, inside, self.group, self.groups)
         counted = self.data.counted if inside is None else self.data.counted & inside
@@ -223,90 +231,144 @@ def _subsets(data: KRadarFrames, conditions: Conditions) -> Iterator[tuple[str, 
             yield f"{kind}/{value}", values == value
 
 
-def _figures(found: Mapping[str, _Counts], settings: KRadarSettings) -> Statistics:
-    values: Statistics = {}
-    for label, counts in found.items():
-        for (measure, iou), at in counts.items():
-            sampled = at.sampled(gaps=settings.sampling == "gaps")
-            value = None if sampled is None else recall_mean(sampled, settings.recall_points)
-            values[f"ap/{label}/{measure}/{iou:g}"] = value
-    return values
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ClassMatches:
+    """One class, matched at every overlap; the predictions stand in the order of falling scores.
+
+    Args:
+        score: Scores of the n predictions, falling.
+        frame: Frames of the predictions, shape (n,).
+        annotated_frame: Frames of the annotated boxes that must be found, shape (m,).
+        gains: What each prediction adds, by measure and overlap.
+    """
+
+    score: Float[np.ndarray, " n"]
+    frame: Int[np.ndarray, " n"]
+    annotated_frame: Int[np.ndarray, " m"]
+    gains: dict[tuple[str, float], OverlapGains]
 
 
-def _intervals(
-    parts: _Parts, point: Mapping[str, Statistics], data: KRadarFrames, settings: KRadarSettings
-) -> dict[str, dict[str, list[float] | None]]:
-    """Interval of each figure: the figure plus what the smooth AP gains or loses under resampling."""
-    if settings.bootstrap.replicates == 0:
-        return {}
-    flat = _flat(parts)
-    drawn: dict[str, dict[str, list[float] | None]] = {}
-    moved = partial(_moved, settings.recall_points, flat, point, _start(flat, data, settings))
-    for name, interval in intervals(moved, data.groups, settings.bootstrap).items():
-        part, _, figure = name.partition("|")
-        drawn.setdefault(part, {})[figure] = interval
-    return drawn
+def match(
+    data: KRadarFrames,
+    settings: KRadarSettings,
+    kind: int,
+    *,
+    predicted_in: Bool[np.ndarray, " n"] | None = None,
+    annotated_in: Bool[np.ndarray, " m"] | None = None,
+    optional: Bool[np.ndarray, " m"] | None = None,
+) -> ClassMatches:
+    """Match the boxes of one class, or those of them that lie in a range bin.
+
+    Args:
+        data: All frames.
+        settings: The options.
+        kind: Place of the class among the settings' classes.
+        predicted_in: Predictions that take part; None: all.
+        annotated_in: Annotated boxes that take part; None: all.
+        optional: Annotated boxes that may be found or not; None: none.
+    """
+    here = data.predicted.kind == kind if predicted_in is None else (data.predicted.kind == kind) & predicted_in
+    there = data.annotated.kind == kind if annotated_in is None else (data.annotated.kind == kind) & annotated_in
+    predictions, boxes = np.flatnonzero(here), np.flatnonzero(there)
+    predictions = predictions[np.argsort(-data.predicted.score[predictions], kind="stable")]
+    place, row = np.full(len(data.predicted), -1), np.full(len(data.annotated), -1)
+    place[predictions], row[boxes] = np.arange(len(predictions)), np.arange(len(boxes))
+    kept = np.flatnonzero(here[data.pair[:, 1]] & there[data.pair[:, 0]])
+    box, detection = row[data.pair[kept, 0]], place[data.pair[kept, 1]]
+    may = np.zeros(len(boxes), dtype=bool) if optional is None else optional[boxes]
+    frame, score = data.annotated.frame[boxes], data.predicted.score[predictions]
+    found: dict[tuple[str, float], OverlapGains] = {}
+    for measure in MEASURES:
+        overlap = data.overlap[measure][kept]
+        for iou in settings.ious:
+            enough = overlap > iou
+            found[measure, iou] = gains(
+                box[enough],
+                detection[enough],
+                overlap[enough],
+                frame=frame,
+                optional=may,
+                score=score,
+                order=predictions,
+            )
+    return ClassMatches(score=score, frame=data.predicted.frame[predictions], annotated_frame=frame[~may], gains=found)
 
 
-def _flat(parts: _Parts) -> dict[str, ThresholdCounts]:
+def count(
+    matched: ClassMatches, inside: Bool[np.ndarray, " f"] | None, group: Int[np.ndarray, " f"], groups: int
+) -> dict[tuple[str, float], ThresholdCounts]:
+    """True and false positives of a set of frames at its own thresholds, by measure and overlap.
+
+    Args:
+        matched: The matched class.
+        inside: Which frames count; None: all.
+        group: Resampling group of each frame.
+        groups: Number of groups.
+    """
+    if inside is None:
+        rows, boxes = np.arange(len(matched.frame)), matched.annotated_frame
+    else:
+        rows, boxes = np.flatnonzero(inside[matched.frame]), matched.annotated_frame[inside[matched.annotated_frame]]
+    score, owner = matched.score[rows], group[matched.frame[rows]]
+    annotated = np.bincount(group[boxes], minlength=groups)
+    return {name: _count(gain, rows, score, owner, annotated) for name, gain in matched.gains.items()}
+
+
+def _count(
+    gain: OverlapGains,
+    rows: Int[np.ndarray, " r"],
+    score: Float[np.ndarray, " r"],
+    owner: Int[np.ndarray, " r"],
+    annotated: Int[np.ndarray, " g"],
+) -> ThresholdCounts:
+    total, groups = int(annotated.sum()), len(annotated)
+    thresholds, recalls = sample_thresholds(score[gain.found[rows]], total) if total else ([], [])
+    reached = np.searchsorted(-score, -np.array(thresholds, dtype=np.float64), side="right")
+    step = np.repeat(np.arange(len(thresholds) + 1), np.diff(reached, prepend=0, append=len(rows)))
+    cell, shape = step * groups + owner, (len(thresholds) + 1, groups)
+    true = _above(cell, gain.true[rows], shape)
+    return ThresholdCounts(
+        thresholds=thresholds,
+        recalls=recalls,
+        true=true,
+        false=_above(cell, None, shape) - true - _above(cell, gain.excused[rows], shape),
+        annotated=annotated,
+    )
+
+
+def _above(
+    cell: Int[np.ndarray, " r"], values: Int[np.ndarray, " r"] | None, shape: tuple[int, int]
+) -> Float[np.ndarray, "t g"]:
+    """Sums of the values (or numbers of rows) at or above each threshold, by group."""
+    sums = np.bincount(cell, weights=values, minlength=shape[0] * shape[1])
+    return sums.reshape(shape)[:-1].cumsum(axis=0).astype(np.float64)
+
+
+# Step 3: average
+
+
+def _part_figures(
+    parts: Mapping[str, _PartCounts], settings: KRadarSettings, weights: Float[np.ndarray, "r g"]
+) -> dict[str, Draws]:
+    return {part: _figures(counted, settings, weights) for part, counted in parts.items()}
+
+
+def _figures(counted: _PartCounts, settings: KRadarSettings, weights: Float[np.ndarray, "r g"]) -> Draws:
+    """AP of one part by class, measure and overlap under each row of group weights."""
+    points = settings.recall_points
+    gaps = settings.sampling == "gaps"
     return {
-        f"{part}|ap/{label}/{measure}/{iou:g}": at
-        for part, found in parts.items()
-        for label, counts in found.items()
-        for (measure, iou), at in counts.items()
+        f"ap/{label}/{measure}/{iou:g}": at_thresholds.average_precisions(weights, (points,), gaps=gaps)[points]
+        for label, counts in counted.items()
+        for (measure, iou), at_thresholds in counts.items()
     }
-
-
-def _start(
-    flat: Mapping[str, ThresholdCounts], data: KRadarFrames, settings: KRadarSettings
-) -> dict[str, float | None]:
-    """The smooth AP of every figure, from which draws depart."""
-    return {name: _smooth(settings.recall_points, at, np.ones(data.groups)) for name, at in flat.items()}
-
-
-def _drawing(
-    parts: _Parts, data: KRadarFrames, settings: KRadarSettings
-) -> tuple[int, dict[str, ThresholdCounts], dict[str, Statistics], dict[str, float | None]]:
-    """What :func:`_moved` takes before the weights."""
-    flat, point = _flat(parts), {part: _figures(found, settings) for part, found in parts.items()}
-    return settings.recall_points, flat, point, _start(flat, data, settings)
-
-
-def _moved_part(
-    part: str,
-    points: int,
-    flat: Mapping[str, ThresholdCounts],
-    point: Mapping[str, Statistics],
-    start: Mapping[str, float | None],
-    weight: Float[np.ndarray, " g"],
-) -> Statistics:
-    return {name.removeprefix(f"{part}|"): v for name, v in _moved(points, flat, point, start, weight).items()}
-
-
-def _smooth(points: int, at: ThresholdCounts, weight: Float[np.ndarray, " g"]) -> float | None:
-    sampled = at.smooth(weight)
-    return None if sampled is None else recall_mean(sampled, points)
-
-
-def _moved(
-    points: int,
-    flat: Mapping[str, ThresholdCounts],
-    point: Mapping[str, Statistics],
-    start: Mapping[str, float | None],
-    weight: Float[np.ndarray, " g"],
-) -> Statistics:
-    values: Statistics = {}
-    for name, at in flat.items():
-        part, _, figure = name.partition("|")
-        values[name] = shifted(point[part][figure], _smooth(points, at, weight), start[name])
-    return values
 
 
 def _nested(counts: dict[str, dict[str, Any]], given: int, cut: int) -> dict[str, Any]:
     """Counts as the result holds them: the whole at the top, subsets by kind."""
     for part in counts.values():
         for name in ("annotated", "predictions"):
-            part[name] = sum(found[name] for found in part["classes"].values())
+            part[name] = sum(boxes[name] for boxes in part["classes"].values())
     tree = {**counts.pop("overall"), "frames_given": given, "predictions_cut": cut}
     tree |= {"ranges": {}, "conditions": {}, "visibility": {}}
     for name, part in counts.items():
@@ -320,13 +382,13 @@ def _nested(counts: dict[str, dict[str, Any]], given: int, cut: int) -> dict[str
     return tree
 
 
-def _curves(found: Mapping[str, _Counts]) -> dict[str, dict[str, dict[str, Any]]]:
+def _curves(counted: _PartCounts) -> dict[str, dict[str, dict[str, Any]]]:
     tree: dict[str, dict[str, dict[str, Any]]] = {}
-    for label, counts in found.items():
-        for (measure, iou), at in counts.items():
-            tree.setdefault(label, {}).setdefault(measure, {})[f"{iou:g}"] = at.curve()
+    for label, counts in counted.items():
+        for (measure, iou), at_thresholds in counts.items():
+            tree.setdefault(label, {}).setdefault(measure, {})[f"{iou:g}"] = at_thresholds.curve()
     return tree
 
 
-def _known(part: Statistics) -> dict[str, Any] | None:
+def _nest_or_none(part: Statistics) -> dict[str, Any] | None:
     return None if all(value is None for value in part.values()) else nest(part)

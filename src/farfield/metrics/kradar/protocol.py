@@ -2,116 +2,28 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.frame.drive import Key
 from farfield.metrics.bootstrap import Weighted
+from farfield.metrics.detections import Detections, Protocol
 from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar, weighted_kradar
 from farfield.metrics.kradar.settings import VARIANTS, KRadarSettings, kradar_settings
 from farfield.metrics.options import option_text
-from farfield.metrics.presenting import CurvePanel, HitRule, Presentation, panels
-from farfield.metrics.protocol import Protocol
+from farfield.metrics.presenting import CurvePanel, HitRule, Presentation, Presenter, panels
 from farfield.metrics.result import figure_names
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRADAR
-
-if TYPE_CHECKING:
-    from farfield.metrics.detections import Detections
 
 _FIRST = ("label_version", "region", "azimuth_deg", "score_cut", "recall_points", "empty_frames", "yaw")
 _UNSAID = ("relabel", "origin_m")
 
 
-class KRadarProtocol(Protocol):
-    """K-Radar's average precision with boxes as they stand."""
+class KRadarPresenter(Presenter):
+    """How KRadarProtocol is shown."""
 
-    name = "kradar"
-    family = "kradar"
-    Settings = KRadarSettings
-    uses = frozenset({"conditions", "visibility"})
-    several_classes = True
-    classes = CIRRUS_FROM_KRADAR
     per_cent = True
-
-    @property
-    def fixed(self) -> Mapping[str, Any]:
-        """Settings that cannot be chosen."""
-        return {}
-
-    def settings(self, found: "Detections", **given: Any) -> KRadarSettings:
-        """The settings; unless given, the classes are those that the detector knows, as far as it says so.
-
-        The coordinates of the boxes and the annotations' version are those of the detections. ``label`` is one class.
-        """
-        label, relabel = given.pop("label", None), given.get("relabel", CIRRUS_FROM_ANY_KRADAR)
-        if label is not None:
-            given["classes"] = (relabel.get(label, label),)
-        known: dict[str, Any] = {}
-        if found.classes and "classes" not in self.fixed:
-            known["classes"] = tuple(dict.fromkeys(relabel.get(name, name) for name in found.classes))
-        if found.reference:
-            known["boxes_in"] = "radar" if found.reference == "radar" else "os2-64"
-            named = found.reference in ("radar", "os2-64")
-            if named and given.get("boxes_in", found.reference) != found.reference:
-                raise ConfigError(
-                    f"boxes_in: expected {known['boxes_in']}, as the boxes say that they stand in the coordinates of "
-                    f"{found.reference}; got {given['boxes_in']}. Leave boxes_in out"
-                )
-        settings = kradar_settings(str(self), **{**known, **given})
-        version = found.facts.get("label_version")
-        return replace(settings, label_version=version) if version and "label_version" not in given else settings
-
-    def labels(self, boxes: BoxesByFrame, **given: Any) -> tuple[str, ...]:
-        """The classes of the settings that occur, the most frequent first."""
-        settings = kradar_settings(str(self), **{name: given[name] for name in ("relabel", "classes") if name in given})
-        return tuple(name for name, _ in labels_of(boxes, settings.relabel) if name in settings.classes)
-
-    def each(self, found: "Detections", *, label: str | None = None, **given: Any) -> list[KRadarSettings]:
-        """One result for all classes; refused if none of them is annotated but others are."""
-        settings = self.settings(found, label=label, **given)
-        present = [name for name, _ in labels_of(found.annotated, settings.relabel)]
-        if present and not set(present) & set(settings.classes):
-            raise ConfigError(
-                f"{self}: expected annotated boxes of {' or '.join(settings.classes)}, got {', '.join(present[:8])}. "
-                "Choose with --label, --options classes=a,b or rename with --options relabel=old:new"
-            )
-        return [settings]
-
-    def evaluate(self, found: "Detections", settings: KRadarSettings) -> KRadarResult:
-        """AP by class, measure and overlap, by range, and by condition and visibility where these are known."""
-        seen = _visibility(found)
-        result = evaluate_kradar(
-            found.boxes,
-            found.annotated,
-            settings,
-            conditions=found.conditions,
-            visibility=seen or None,
-            protocol=str(self),
-            drives=found.drives,
-        )
-        notes = []
-        lacking = [key for key, annotation in found.annotations.items() if len(annotation) and key not in seen]
-        if seen and lacking:
-            notes.append(
-                f"{len(lacking)} of {len(found.annotations)} annotated frames do not say which sensor sees their boxes "
-                f"(the first: {' '.join(lacking[0])}); in the figures by visibility these may be found or not"
-            )
-        if settings.label_version != self.fixed.get("label_version", settings.label_version):
-            published = self.fixed["label_version"]
-            notes.append(f"{self} stands for results on labels {published}; these are {settings.label_version}")
-        return replace(result, notes=(*result.notes, *notes))
-
-    def weighted(self, found: "Detections", settings: KRadarSettings) -> Weighted:
-        """AP of the whole, by range, condition and visibility as functions of group weights."""
-        return weighted_kradar(
-            found.boxes,
-            found.annotated,
-            settings,
-            conditions=found.conditions,
-            visibility=_visibility(found) or None,
-            drives=found.drives,
-        )
 
     def title(self, figure: str) -> str:
         """Class, overlap and its least value: ``vehicle AP3D 0.3``."""
@@ -151,6 +63,97 @@ class KRadarProtocol(Protocol):
                 found += [CurvePanel(title, panel.lines) for panel in panels(named)]
         return found
 
+
+class KRadarProtocol(Protocol):
+    """K-Radar's average precision with boxes as they stand."""
+
+    name = "kradar"
+    family = "kradar"
+    Settings = KRadarSettings
+    presenter = KRadarPresenter()
+    uses = frozenset({"conditions", "visibility"})
+    several_classes = True
+    classes = CIRRUS_FROM_KRADAR
+
+    @property
+    def fixed(self) -> Mapping[str, Any]:
+        """Settings that cannot be chosen."""
+        return {}
+
+    def settings(self, detections: Detections, **given: Any) -> KRadarSettings:
+        """The settings; unless given, the classes are those that the detector knows, as far as it says so.
+
+        The coordinates of the boxes and the annotations' version are those of the detections. ``label`` is one class.
+        """
+        label, relabel = given.pop("label", None), given.get("relabel", CIRRUS_FROM_ANY_KRADAR)
+        if label is not None:
+            given["classes"] = (relabel.get(label, label),)
+        known: dict[str, Any] = {}
+        if detections.classes and "classes" not in self.fixed:
+            known["classes"] = tuple(dict.fromkeys(relabel.get(name, name) for name in detections.classes))
+        if detections.reference:
+            known["boxes_in"] = "radar" if detections.reference == "radar" else "os2-64"
+            named = detections.reference in ("radar", "os2-64")
+            if named and given.get("boxes_in", detections.reference) != detections.reference:
+                raise ConfigError(
+                    f"boxes_in: expected {known['boxes_in']}, as the boxes say that they stand in the coordinates of "
+                    f"{detections.reference}; got {given['boxes_in']}. Leave boxes_in out"
+                )
+        settings = kradar_settings(str(self), **{**known, **given})
+        version = detections.facts.get("label_version")
+        return replace(settings, label_version=version) if version and "label_version" not in given else settings
+
+    def labels(self, boxes: BoxesByFrame, **given: Any) -> tuple[str, ...]:
+        """The classes of the settings that occur, the most frequent first."""
+        settings = kradar_settings(str(self), **{name: given[name] for name in ("relabel", "classes") if name in given})
+        return tuple(name for name, _ in labels_of(boxes, settings.relabel) if name in settings.classes)
+
+    def each(self, detections: Detections, *, label: str | None = None, **given: Any) -> list[KRadarSettings]:
+        """One result for all classes; refused if none of them is annotated but others are."""
+        settings = self.settings(detections, label=label, **given)
+        present = [name for name, _ in labels_of(detections.annotated, settings.relabel)]
+        if present and not set(present) & set(settings.classes):
+            raise ConfigError(
+                f"{self}: expected annotated boxes of {' or '.join(settings.classes)}, got {', '.join(present[:8])}. "
+                "Choose with --label, --options classes=a,b or rename with --options relabel=old:new"
+            )
+        return [settings]
+
+    def evaluate(self, detections: Detections, settings: KRadarSettings) -> KRadarResult:
+        """AP by class, measure and overlap, by range, and by condition and visibility where these are known."""
+        seen = _visibility(detections)
+        result = evaluate_kradar(
+            detections.boxes,
+            detections.annotated,
+            settings,
+            conditions=detections.conditions,
+            visibility=seen or None,
+            protocol=str(self),
+            drives=detections.drives,
+        )
+        notes = []
+        lacking = [key for key, annotation in detections.annotations.items() if len(annotation) and key not in seen]
+        if seen and lacking:
+            notes.append(
+                f"{len(lacking)} of {len(detections.annotations)} annotated frames do not say which sensor sees their "
+                f"boxes (the first: {' '.join(lacking[0])}); in the figures by visibility these may be found or not"
+            )
+        if settings.label_version != self.fixed.get("label_version", settings.label_version):
+            published = self.fixed["label_version"]
+            notes.append(f"{self} stands for results on labels {published}; these are {settings.label_version}")
+        return replace(result, notes=(*result.notes, *notes))
+
+    def weighted(self, detections: Detections, settings: KRadarSettings) -> Weighted:
+        """AP of the whole, by range, condition and visibility as functions of group weights."""
+        return weighted_kradar(
+            detections.boxes,
+            detections.annotated,
+            settings,
+            conditions=detections.conditions,
+            visibility=_visibility(detections) or None,
+            drives=detections.drives,
+        )
+
     def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
         """Besides those of every protocol: overlaps and classes, which have figures of their own.
 
@@ -187,9 +190,9 @@ def _bev_last(name: str) -> bool:
     return "/bev/" in name
 
 
-def _visibility(found: "Detections") -> dict[Key, tuple[str, ...]]:
+def _visibility(detections: Detections) -> dict[Key, tuple[str, ...]]:
     """Which sensor sees each annotated box, of the frames that say so."""
-    return {key: tuple(a.visibility) for key, a in found.annotations.items() if a.visibility is not None}
+    return {key: tuple(a.visibility) for key, a in detections.annotations.items() if a.visibility is not None}
 
 
 class KRadarCompat(KRadarProtocol):

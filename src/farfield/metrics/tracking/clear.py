@@ -10,9 +10,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Bool, Int
 
-from farfield.metrics.recall import SAMPLES, sample_thresholds
-from farfield.metrics.tracking.pairing import best_pairs
-from farfield.metrics.tracking.scene import TrackingScene
+from farfield.metrics.recall_sampling import SAMPLES, sample_thresholds
+from farfield.metrics.tracking.scene import TrackingScene, best_pairs
 
 Figures = dict[str, float | None]
 _FOUND_WHOLE, _FOUND_LOST = 0.8, 0.2

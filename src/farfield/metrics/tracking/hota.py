@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from farfield.metrics.tracking.clear import Figures
-from farfield.metrics.tracking.pairing import best_pairs
-from farfield.metrics.tracking.scene import TrackingScene
+from farfield.metrics.tracking.scene import TrackingScene, best_pairs
 
 ALPHAS = np.arange(0.05, 0.99, 0.05)
 _ON_IGNORED = 0.5

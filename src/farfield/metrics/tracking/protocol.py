@@ -2,18 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from farfield.metrics.detections import Detections, Protocol
 from farfield.metrics.options import json_options
-from farfield.metrics.protocol import Protocol
+from farfield.metrics.presenting import Presenter
 from farfield.metrics.result import Result, table, value_at
 from farfield.metrics.tracking.clear import Figures, count, integrate, match
 from farfield.metrics.tracking.hota import Hota, identity_f1, without_ignored
-from farfield.metrics.tracking.scene import gather
-from farfield.metrics.tracking.settings import TrackingSettings
-
-if TYPE_CHECKING:
-    from farfield.metrics.detections import Detections
+from farfield.metrics.tracking.scene import TrackingSettings, gather
 
 _HEADLINE = ("sAMOTA", "AMOTA", "AMOTP", "MOTA", "MOTP", "HOTA", "DetA", "AssA", "IDF1")
 _OF_TRACKS = ("MT", "ML", "tracks")
@@ -37,6 +34,14 @@ class TrackingResult(Result):
         return self.cell(part, name, scale=1.0 if name.endswith("threshold") else 100.0)
 
 
+class TrackingPresenter(Presenter):
+    """How Tracking is shown."""
+
+    def title(self, figure: str) -> str:
+        """The rate's own name."""
+        return figure.removeprefix("tracking/").replace("/", " ")
+
+
 class Tracking(Protocol):
     """CLEAR MOT with AB3DMOT's integrals, HOTA and identity F1.
 
@@ -47,15 +52,16 @@ class Tracking(Protocol):
 
     name = "tracking"
     Settings = TrackingSettings
+    presenter = TrackingPresenter()
     uses = frozenset({"details"})
 
-    def evaluate(self, found: "Detections", settings: TrackingSettings) -> TrackingResult:
+    def evaluate(self, detections: Detections, settings: TrackingSettings) -> TrackingResult:
         """Score the tracks of one class.
 
         Raises:
             ConfigError: If boxes have no track, or a track has two boxes in a frame.
         """
-        scene = gather(found, settings)
+        scene = gather(detections, settings)
         every = match(scene, settings.iou)
         integrals = integrate(scene, settings.iou, count_ignored=settings.count_ignored)
         counted = without_ignored(scene)
@@ -83,7 +89,7 @@ class Tracking(Protocol):
                 "annotated": int((~scene.annotated.aside).sum()),
                 "ignored": int(scene.annotated.aside.sum()),
                 "predictions": len(scene.predicted),
-                "frames": len(found.annotations),
+                "frames": len(detections.annotations),
                 "thresholds": len(integrals.thresholds),
             },
             notes=scene.notes,
@@ -92,10 +98,6 @@ class Tracking(Protocol):
     def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
         """The rates of the whole."""
         return {f"tracking/{name}": value_at(result, f"tracking/{name}") for name in _HEADLINE}
-
-    def title(self, figure: str) -> str:
-        """The rate's own name."""
-        return figure.removeprefix("tracking/").replace("/", " ")
 
     def inert(self, settings: Mapping[str, Any]) -> tuple[str, ...]:
         """Range bins, the label, and the distance where boxes are compared by their overlap."""

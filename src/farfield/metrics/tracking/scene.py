@@ -1,22 +1,71 @@
 """All frames of an evaluation of tracks as flat arrays: one class, its ignored neighbours, pairs that touch."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.optimize import linear_sum_assignment
 
 from farfield.errors import ConfigError
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import paired_iou
+from farfield.metrics.detections import Detections
 from farfield.metrics.frames import check_frames, flatten, frame_order, has_label, same_owner
-from farfield.metrics.kitti.frames import Details, detail_column, in_dontcare
-from farfield.metrics.tracking.settings import TrackingSettings
+from farfield.metrics.kitti.evaluation import NEIGHBOURS, Details, detail_column, in_dontcare
+from farfield.metrics.options import check_range_bins
 
-if TYPE_CHECKING:
-    from farfield.metrics.detections import Detections
+# MERGED """The options of the scores of tracks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingSettings:
+    """Options of the scores of tracks.
+
+    Args:
+        label: The class that is scored.
+        relabel: Class names that stand for another.
+        ignore: Classes whose annotated boxes may be detections or not; None takes KITTI's neighbours (Van for Car).
+        similarity: How alike two boxes are: ``"3d"`` and ``"bev"`` IoU, or ``"centre"``: 1 at the same place of x and
+            y, 0 at ``distance_m`` and beyond.
+        iou: Similarity that a match needs at least, for CLEAR and identity F1; HOTA takes all from 0.05 to 0.95.
+        distance_m: For ``"centre"``: where the similarity is 0.
+        least_track_score: Tracks whose mean score is lower are left out; None keeps all.
+        count_ignored: Whether matches with ignored boxes help to place AB3DMOT's thresholds, as its code has it.
+        range_bins_m: Edges of the half-open range bins: annotated boxes and matches count where the annotated box is,
+            false ones where they are themselves. No track is cut.
+    """
+
+    label: str = "Car"
+    relabel: Mapping[str, str] = field(default_factory=dict)
+    ignore: tuple[str, ...] | None = None
+    similarity: Literal["3d", "bev", "centre"] = "3d"
+    iou: float = 0.25
+    distance_m: float = 4.0
+    least_track_score: float | None = None
+    count_ignored: bool = True
+    range_bins_m: tuple[float, ...] = (0.0, 70.0, 150.0, 250.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ignore", NEIGHBOURS.get(self.label, ()) if self.ignore is None else self.ignore)
+        if not 0 < self.iou < 1:
+            raise ConfigError(f"iou: expected a number between 0 and 1, got {self.iou}")
+        if self.similarity not in ("3d", "bev", "centre"):
+            raise ConfigError(f"similarity: expected 3d, bev or centre, got {self.similarity!r}")
+        if not self.distance_m > 0:
+            raise ConfigError(f"distance_m: expected a positive number, got {self.distance_m}")
+        check_range_bins(self.range_bins_m)
+        if self.label in (self.ignore or ()):
+            raise ConfigError(f"label: {self.label!r} is also ignored; take it out of ignore to score it")
+
+    @property
+    def bins_m(self) -> dict[str, tuple[float, float]]:
+        """The half-open range bins as (low, high) by name."""
+        return {f"{low:g}-{high:g}": (low, high) for low, high in pairwise(self.range_bins_m)}
+
 
 LEAST_HEIGHT_PX = 25.0
 MOST_OCCLUSION, MOST_TRUNCATION = 2, 0
@@ -79,24 +128,24 @@ class TrackingScene:
         )
 
 
-def gather(found: "Detections", settings: TrackingSettings) -> TrackingScene:
+def gather(detections: Detections, settings: TrackingSettings) -> TrackingScene:
     """Collect one class of all frames.
 
     Raises:
         ConfigError: If boxes have no track, or a track has two boxes in a frame.
     """
-    check_frames(found.boxes, found.annotated)
-    keys = sorted(found.annotations, key=frame_order)
-    given = [found.annotations[key].boxes for key in keys]
-    seen = [found.boxes.get(key, Boxes.empty(scored=True)) for key in keys]
+    check_frames(detections.boxes, detections.annotated)
+    keys = sorted(detections.annotations, key=frame_order)
+    given = [detections.annotations[key].boxes for key in keys]
+    seen = [detections.boxes.get(key, Boxes.empty(scored=True)) for key in keys]
     annotated, predicted = flatten(given, scored=False), flatten(seen, scored=True)
     is_label = has_label(annotated, settings.label, settings.relabel)
     used = is_label.copy()
     for name in settings.ignore or ():
         used |= has_label(annotated, name, settings.relabel)
     scored = has_label(predicted, settings.label, settings.relabel)
-    ignored, facts_note = _ignored(found, keys, given)
-    harmless, notes = _harmless(found, keys, seen, scored)
+    ignored, facts_note = _ignored(detections, keys, given)
+    harmless, notes = _harmless(detections, keys, seen, scored)
     rows = collect_rows(keys, given, annotated, used, ~is_label | ignored, what="annotations")
     tracks = collect_rows(keys, seen, predicted, scored, harmless, what="predictions")
     annotated, predicted = annotated[used], predicted[scored]
@@ -169,10 +218,10 @@ def _similarity(
 
 
 def _ignored(
-    found: "Detections", keys: list[Key], given: list[Boxes]
+    detections: Detections, keys: list[Key], given: list[Boxes]
 ) -> tuple[Bool[np.ndarray, " n"], tuple[str, ...]]:
     """Annotated boxes that KITTI ignores as hidden or cut; a note where that is not known."""
-    details: Details = {key: annotation.details for key, annotation in found.annotations.items()}
+    details: Details = {key: annotation.details for key, annotation in detections.annotations.items()}
     ignored = np.zeros(sum(map(len, given)), dtype=bool)
     missing = []
     for name, most in (("occlusion", MOST_OCCLUSION), ("truncation", MOST_TRUNCATION)):
@@ -185,13 +234,13 @@ def _ignored(
 
 
 def _harmless(
-    found: "Detections", keys: list[Key], seen: list[Boxes], scored: Bool[np.ndarray, " n"]
+    detections: Detections, keys: list[Key], seen: list[Boxes], scored: Bool[np.ndarray, " n"]
 ) -> tuple[Bool[np.ndarray, " n"], tuple[str, ...]]:
     """Predicted boxes that are never false: low in the image, or in a DontCare region; a note on those unknown."""
-    regions: Details = {key: annotation.unboxed for key, annotation in found.annotations.items()}
-    box_px = detail_column(found.prediction_details, keys, seen, "box_px", 4)
+    regions: Details = {key: annotation.unboxed for key, annotation in detections.annotations.items()}
+    box_px = detail_column(detections.prediction_details, keys, seen, "box_px", 4)
     if box_px is None:
-        known = any("box_px" in annotation.details for annotation in found.annotations.values())
+        known = any("box_px" in annotation.details for annotation in detections.annotations.values())
         note = "predictions have no box in the image: none is spared as too low in the image or in a DontCare region"
         return np.zeros(len(scored), dtype=bool), (note,) if known and scored.any() else ()
     valid = (box_px[:, 2:] > box_px[:, :2]).all(axis=1)
@@ -201,3 +250,76 @@ def _harmless(
     absent = int((scored & ~valid).sum())
     note = f"{absent} of {int(scored.sum())} predicted boxes have no box in the image: they count as false if unmatched"
     return harmless, (note,) if absent else ()
+
+
+# MERGED """One-to-one pairs of rows and columns, of many groups at once."""
+
+
+def best_pairs(
+    row: Int[np.ndarray, " p"],
+    column: Int[np.ndarray, " p"],
+    gain: Float[np.ndarray, " p"],
+    group: Int[np.ndarray, " p"],
+) -> Int[np.ndarray, " k"]:
+    """Choose pairs, no row and no column twice, whose gains have the largest sum.
+
+    Rows and columns without rivals are paired at once, the others by the Hungarian method, group by group.
+
+    Args:
+        row: Row of each possible pair; a number stands for one row of all groups.
+        column: Column of each, likewise.
+        gain: What a pair adds to the sum, above 0; a pair that is not listed adds 0.
+        group: Group of each pair, such as its frame, rising.
+
+    Returns:
+        Places of the chosen pairs, rising.
+    """
+    if not len(row):
+        return np.zeros(0, dtype=np.int64)
+    alone = (np.bincount(row)[row] == 1) & (np.bincount(column)[column] == 1)
+    chosen = [np.flatnonzero(alone)]
+    rest = np.flatnonzero(~alone)
+    if len(rest):
+        cuts = np.flatnonzero(np.diff(group[rest])) + 1
+        chosen += [_hungarian(row, column, gain, part) for part in np.split(rest, cuts)]
+    return np.sort(np.concatenate(chosen))
+
+
+def _hungarian(
+    row: Int[np.ndarray, " p"],
+    column: Int[np.ndarray, " p"],
+    gain: Float[np.ndarray, " p"],
+    part: Int[np.ndarray, " q"],
+) -> Int[np.ndarray, " k"]:
+    """The best of the pairs that stand at some places."""
+    low_row, low_column = row[part].min(), column[part].min()
+    shape = (int(row[part].max() - low_row) + 1, int(column[part].max() - low_column) + 1)
+    place = np.full(shape, -1)
+    place[row[part] - low_row, column[part] - low_column] = part
+    worth = np.where(place >= 0, gain[place], 0.0)
+    chosen = place[linear_sum_assignment(worth, maximize=True)]
+    return chosen[chosen >= 0]
+
+
+def greedy_pairs(
+    row: Int[np.ndarray, " p"], column: Int[np.ndarray, " p"], order: Int[np.ndarray, " p"]
+) -> Int[np.ndarray, " k"]:
+    """Choose pairs one after the other, each whose row and column are still free.
+
+    Args:
+        row: Row of each possible pair.
+        column: Column of each.
+        order: Places of the pairs in the order in which they may choose.
+
+    Returns:
+        Places of the chosen pairs, rising.
+    """
+    rows: set[int] = set()
+    columns: set[int] = set()
+    chosen = []
+    for place, a, b in zip(order.tolist(), row[order].tolist(), column[order].tolist(), strict=True):
+        if a not in rows and b not in columns:
+            rows.add(a)
+            columns.add(b)
+            chosen.append(place)
+    return np.sort(np.array(chosen, dtype=np.int64))

@@ -19,15 +19,13 @@ from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Annotation, Boxes, Key
 from farfield.metrics import PROTOCOLS, Detections, Protocol
-from farfield.metrics.centre.evaluation import match_scene
+from farfield.metrics.box_files import read_predictions
+from farfield.metrics.centre.evaluation import gather, match_scene
 from farfield.metrics.centre.matching import DROPPED
-from farfield.metrics.centre.scene import gather
 from farfield.metrics.centre.settings import CentreSettings
-from farfield.metrics.kitti.frames import gather_kitti
-from farfield.metrics.kitti.settings import KittiSettings
+from farfield.metrics.kitti.evaluation import KittiSettings, gather_kitti
 from farfield.metrics.kradar.frames import gather_kradar
 from farfield.metrics.kradar.settings import KRadarSettings
-from farfield.metrics.reading import read_predictions
 from farfield.studio.messages.rows import BoxRow, Match, PredictedFrame, PredictionSet
 from farfield.studio.showing.rows import boxes_of, predicted_rows
 
@@ -93,7 +91,7 @@ def read_set(path: Path, data: Dataset, *, format: str, protocol: str, number: i
     Args:
         path: File, or folder of files.
         data: The data set in whose frames they lie, in its coordinates.
-        format: One of :data:`farfield.metrics.reading.FORMATS`.
+        format: One of :data:`farfield.metrics.box_files.FORMATS`.
         protocol: By which they are matched.
         number: Number of the set, for its colour.
 
@@ -229,7 +227,7 @@ def _by(protocol: Protocol, detections: Detections, settings: Any) -> Iterator[_
 
 def _by_centre(detections: Detections, settings: CentreSettings) -> _ClassVerdicts:
     scene = gather(detections.boxes, detections.annotated, settings)
-    matches = match_scene(scene, settings).taken[settings.epsilons[0], settings.error_thresholds_m[-1]]
+    matches = match_scene(scene, settings).assigned[settings.epsilons[0], settings.error_thresholds_m[-1]]
     verdict = np.where(matches >= 0, MATCHED, np.where(matches == DROPPED, IGNORED, FALSE))
     truth = np.where(matches >= 0, matches, -1)
     return _ClassVerdicts(_numbers(scene.predicted), _numbers(scene.annotated), verdict, truth, ~scene.ignored)

@@ -21,7 +21,7 @@ from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import upright_from_camera
 from farfield.metrics.detections import Detections
-from farfield.metrics.oddities import beyond_a_turn, oddities, wild_headings
+from farfield.metrics.sanity import beyond_a_turn, sanity_warnings, wild_headings
 
 _Details = dict[Key, dict[str, np.ndarray]]
 FORMATS = ("boxes-csv", "kitti", "kitti-tracking", "nuscenes")
@@ -67,7 +67,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     for word, side in (("predicted", predicted), ("annotated", annotated)):
         notes += wild_headings(word, *side.headings)
     notes += _without_image_boxes(predicted) if format == "kitti" else []
-    notes += oddities(predicted.boxes, annotated.boxes)
+    notes += sanity_warnings(predicted.boxes, annotated.boxes)
     _name_coordinates(predicted, Path(predictions), reference)
     _name_coordinates(annotated, Path(labels), reference)
     return Detections(

@@ -12,9 +12,8 @@ from jaxtyping import Bool
 
 from farfield.files.spool import MappedView, alike
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.detections import Detections
+from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.frames import BoxesByFrame
-from farfield.metrics.protocol import PROTOCOLS, Protocol
 from farfield.metrics.result import Result, nest
 from farfield.vocabulary.conditions import CONDITIONS
 

@@ -1,0 +1,320 @@
+"""What is odd about the boxes of a file: units, headings, scores, classes; said beside the score, never mended."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from difflib import get_close_matches
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from farfield.frame.drive import Key
+from farfield.geometry.boxes import Boxes
+from farfield.metrics.frames import BoxesByFrame, frame_order
+from farfield.vocabulary.classes import normalised_class
+from farfield.vocabulary.sizes import unit_of_sizes
+
+_TURN = 2 * np.pi
+_FEW = 0.05  # share of headings beyond a turn that a tracker's unwrapping may leave
+_FASTEST_M_S = 40.0
+_FARTHEST_M = 1_500.0
+
+
+def sanity_warnings(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[str]:
+    """One sentence for each thing that is odd, of both sides and of how they lie to each other.
+
+    Args:
+        predicted: Scored boxes by (sequence, frame).
+        annotated: Annotated boxes by the same.
+    """
+    sides = {"predicted": _joined(predicted.values()), "annotated": _joined(annotated.values())}
+    notes = [note for word, boxes in sides.items() for note in _of_one_side(word, boxes)]
+    doubled = sum(_doubled(boxes) for boxes in predicted.values())
+    if doubled > 0.3 * len(sides["predicted"]):
+        notes.append(f"{doubled} of {len(sides['predicted'])} predicted boxes stand there twice: one file in another?")
+    notes += [*_scores(sides["predicted"]), *fast(predicted, "predicted"), *fast(annotated, "annotated")]
+    if _same(predicted, annotated):
+        notes.append("predictions and labels are the same boxes: is one file given for both?")
+        return notes
+    return [*notes, *diagnose_box_convention(predicted, annotated)]
+
+
+def _joined(parts: Iterable[Boxes]) -> Boxes:
+    filled = [part for part in parts if len(part.yaw_rad)]
+    return Boxes.concatenate([part.plain().replace(score=part.score) for part in filled]) if filled else Boxes.empty()
+
+
+def _of_one_side(word: str, boxes: Boxes) -> Iterator[str]:
+    if not len(boxes):
+        yield f"there is no {word} box"
+        return
+    longest = float(np.median(boxes.size_m.max(axis=1)))
+    unit = unit_of_sizes(longest)
+    if unit:
+        yield f"the median {word} box is {longest:.3g} long: sizes are in metres, these seem to be in {unit}"
+    far = float(np.median(boxes.range_m))
+    if far > _FARTHEST_M:
+        yield (
+            f"the median {word} box lies {far:.3g} m away: positions are metres from the sensor, not of a map "
+            "and not in another unit"
+        )
+
+
+def _scores(boxes: Boxes) -> Iterator[str]:
+    if boxes.score is None or not len(boxes):
+        return
+    low, high = float(boxes.score.min()), float(boxes.score.max())
+    if low < 0 or high > 1:
+        yield f"scores go from {low:.3g} to {high:.3g}, not from 0 to 1: cuts by score (score_cut) do not fit them"
+    if len(boxes) >= 10 and low == high:
+        yield f"all {len(boxes)} predictions have one score, {low:g}: without an order a curve has a single point"
+
+
+def wild_headings(word: str, beyond: int, total: int) -> list[str]:
+    """A note where many headings lie beyond a turn.
+
+    Args:
+        word: Whose boxes.
+        beyond: How many, see :func:`beyond_a_turn`; boxes themselves keep the angle modulo a turn.
+        total: Of how many.
+    """
+    if not total or beyond <= _FEW * total:
+        return []
+    return [f"{beyond / total:.0%} of the {word} headings are beyond 2 pi: yaw is in radians, these look like degrees"]
+
+
+def beyond_a_turn(yaw_rad: Float[np.ndarray, " n"]) -> int:
+    """How many headings of a file are beyond 2 pi."""
+    return int(np.count_nonzero(np.abs(yaw_rad) > _TURN + 1e-6))
+
+
+def _doubled(boxes: Boxes) -> int:
+    """Boxes that are equal to an earlier one of the frame."""
+    rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]) if len(boxes) else np.zeros((0, 7))
+    labels = np.unique(np.asarray(boxes.label), return_inverse=True)[1]
+    return len(boxes) - len(np.unique(np.column_stack([rows, labels.reshape(-1)]), axis=0))
+
+
+def _same(predicted: BoxesByFrame, annotated: BoxesByFrame) -> bool:
+    filled = [key for key, boxes in annotated.items() if len(boxes)]
+    return bool(filled) and all(
+        key in predicted and np.array_equal(_places(predicted[key]), _places(annotated[key])) for key in filled
+    )
+
+
+def _places(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
+    return np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
+
+
+def fast(boxes: BoxesByFrame, word: str) -> list[str]:
+    """A note where most velocities are beyond those of cars."""
+    parts = [each.velocity_m_s for each in boxes.values() if each.velocity_m_s is not None and len(each)]
+    speed = np.concatenate([np.linalg.norm(part[:, :2], axis=1) for part in parts]) if parts else np.zeros(0)
+    speed = speed[np.isfinite(speed)]
+    if not len(speed) or float(np.median(speed)) < _FASTEST_M_S:
+        return []
+    beyond = float((speed > _FASTEST_M_S).mean())
+    return [
+        f"{beyond:.0%} of the {word} boxes move at more than {_FASTEST_M_S:g} m/s (median {np.median(speed):.3g}): "
+        "velocities are in m/s, not km/h"
+    ]
+
+
+def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: Mapping[str, str]) -> list[str]:
+    """A note on predicted classes that no annotated box has, with what they may be meant for.
+
+    Args:
+        predicted: Predicted boxes.
+        annotated: Annotated boxes.
+        relabel: Names that count as others.
+    """
+    theirs, ours = _named(predicted, relabel), _named(annotated, relabel)
+    strange = {name: count for name, count in theirs.items() if name not in ours}
+    if not strange or not ours:
+        return []
+    shown = ", ".join(f"{name} ({count})" for name, count in list(strange.items())[:8])
+    meant = {name: guess for name in strange if (guess := meant_by(name, ours))}
+    mend = f"; meant is perhaps {', '.join(f'{a}:{b}' for a, b in meant.items())}: --options relabel={_pairs(meant)}"
+    return [
+        f"{sum(strange.values())} of {sum(theirs.values())} predicted boxes are of classes that no label has: {shown}; "
+        f"labels have {', '.join(ours)}{mend if meant else ''}"
+    ]
+
+
+def _pairs(meant: Mapping[str, str]) -> str:
+    return ",".join(f"{name}:{guess}" for name, guess in meant.items())
+
+
+def meant_by(name: str, known: Iterable[str]) -> str:
+    """The known class that a name may be meant for; empty where none is like it.
+
+    >>> meant_by("Car", ["vehicle", "pedestrian"]), meant_by("vehicel", ["vehicle"]), meant_by("LKW", ["vehicle"])
+    ('vehicle', 'vehicle', '')
+    """
+    by_plain = {other.lower(): other for other in known}
+    ours = normalised_class(name, {})
+    same = [other for other in by_plain.values() if normalised_class(other, {}) == ours != "unknown"]
+    close = get_close_matches(name.lower(), list(by_plain), n=1, cutoff=0.75)
+    return by_plain.get(name.lower()) or (same[0] if same else by_plain[close[0]] if close else "")
+
+
+def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for part in boxes.values():
+        for name in np.asarray(part.label).tolist():
+            name = relabel.get(str(name), str(name))
+            counts[name] = counts.get(name, 0) + 1
+    return counts
+
+
+# MERGED farfield.metrics.sanity:
+# Predicted boxes that would fit the annotated ones if their numbers meant something else: axes, frames, sizes, yaw.
+#
+# The same readings as the doctor tries on points, here with annotated boxes as the witnesses. Nothing is changed: what
+# fits far better is named.
+
+_NEAR_M = 2.0
+_MOST_FRAMES = 200
+_LEAST = 10  # pairs that may decide
+_LONG = 1.5  # times as long as wide: then a heading can be seen
+
+Points = Float[np.ndarray, "n 3"]
+
+
+class _PairedBoxes(NamedTuple):
+    """Predicted and annotated boxes that lie at one place, row by row: centre, size, heading."""
+
+    predicted: Float[np.ndarray, "n 7"]
+    annotated: Float[np.ndarray, "n 7"]
+
+
+def diagnose_box_convention(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[str]:
+    """One sentence for each reading under which far more predicted boxes fit.
+
+    Args:
+        predicted: Boxes by (sequence, frame).
+        annotated: Boxes by the same.
+    """
+    keys = sorted((key for key in annotated if len(annotated[key])), key=frame_order)
+    keys = keys[:: max(1, -(-len(keys) // _MOST_FRAMES))]
+    ours = {key: _rows(annotated[key]) for key in keys}
+    theirs = {key: _rows(predicted[key]) if key in predicted else np.zeros((0, 7)) for key in keys}
+    total = sum(map(len, theirs.values()))
+    pairs = _paired(theirs, ours)
+    as_read = len(pairs.predicted)
+    best, most = "", 0
+    for words, change in _PLACES.items():
+        count = _count({key: change(rows[:, :3]) for key, rows in theirs.items()}, ours)
+        best, most = (words, count) if count > most else (best, most)
+    for step, words in ((1, "the next frame's"), (-1, "the frame's before")):
+        count = _count(_shifted(predicted, keys, step), ours)
+        if count > most:
+            best, most = f"each frame's boxes were {words}: frames numbered off by one", count
+    if most >= _LEAST and most > 2 * as_read + 5 and most > 0.3 * min(total, sum(map(len, ours.values()))):
+        return [f"{as_read} of {total} predicted boxes lie within 2 m of an annotated one; {most} would if {best}"]
+    return [*_of_pairs(pairs)] if as_read >= _LEAST else []
+
+
+def _rows(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
+    return np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).astype(np.float64)
+
+
+def _ordered(order: Sequence[int], signs: Sequence[float], points: Points) -> Points:
+    return points[:, list(order)] * np.array(signs)
+
+
+_PLACES: Mapping[str, Callable[[Points], Points]] = {
+    "y pointed left: they are mirrored": partial(_ordered, (0, 1, 2), (1.0, -1.0, 1.0)),
+    "they were turned by half a turn": partial(_ordered, (0, 1, 2), (-1.0, -1.0, 1.0)),
+    "they were turned by 90 degrees counter-clockwise": partial(_ordered, (1, 0, 2), (-1.0, 1.0, 1.0)),
+    "they were turned by 90 degrees clockwise": partial(_ordered, (1, 0, 2), (1.0, -1.0, 1.0)),
+    "they were taken from a camera's axes (x right, y down, z ahead)": partial(_ordered, (2, 0, 1), (1.0, -1.0, -1.0)),
+    "their positions were divided by 100: centimetres": partial(_ordered, (0, 1, 2), (0.01, 0.01, 0.01)),
+    "their positions were divided by 1000: millimetres": partial(_ordered, (0, 1, 2), (0.001, 0.001, 0.001)),
+}
+
+
+def _shifted(predicted: BoxesByFrame, keys: Sequence[Key], step: int) -> dict[Key, Points]:
+    """The centres of the frames before or after, in the order of their names; none across sequences."""
+    every = sorted({*predicted, *keys}, key=frame_order)
+    place = {key: number for number, key in enumerate(every)}
+    found: dict[Key, Points] = {}
+    for key in keys:
+        number = place[key] + step
+        other = every[number] if 0 <= number < len(every) else None
+        near = other is not None and other[0] == key[0] and other in predicted
+        found[key] = predicted[other].centre_m if near and other is not None else np.zeros((0, 3))
+    return found
+
+
+def _nearest(theirs: Points, ours: Float[np.ndarray, "m 7"]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of predicted boxes near an annotated one, each of these taken once, and which it is."""
+    if not len(theirs) or not len(ours):
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    gap = np.hypot(*(theirs[:, None, axis] - ours[None, :, axis] for axis in (0, 1)))
+    best = gap.argmin(axis=0)  # for each annotated box the nearest prediction
+    near = np.flatnonzero(gap[best, np.arange(len(ours))] < _NEAR_M)
+    rows, first = np.unique(best[near], return_index=True)
+    return rows, near[first]
+
+
+def _count(theirs: Mapping[Key, Points], ours: Mapping[Key, np.ndarray]) -> int:
+    return sum(len(_nearest(points, ours[key])[0]) for key, points in theirs.items())
+
+
+def _paired(theirs: Mapping[Key, np.ndarray], ours: Mapping[Key, np.ndarray]) -> _PairedBoxes:
+    found = [(rows, ours[key], *_nearest(rows[:, :3], ours[key])) for key, rows in theirs.items()]
+    left = [rows[chosen] for rows, _, chosen, _ in found]
+    right = [rows[chosen] for _, rows, _, chosen in found]
+    empty = np.zeros((0, 7))
+    return _PairedBoxes(np.concatenate([empty, *left]), np.concatenate([empty, *right]))
+
+
+def _of_pairs(pairs: _PairedBoxes) -> Iterator[str]:
+    theirs, ours = pairs
+    share = (theirs[:, 2] - ours[:, 2]) / ours[:, 5]
+    middle, spread = float(np.median(share)), float(np.subtract(*np.percentile(share, [75, 25])))
+    if abs(abs(middle) - 0.5) < 0.15 and spread < 0.4:
+        side = "bottom" if middle < 0 else "top"
+        yield f"predicted boxes stand half their height off the annotated ones: z is a box's middle, not its {side}"
+    ratio = np.median(theirs[:, 3:6] / ours[:, 3:6], axis=0)
+    for factor, words in ((0.5, "half"), (2.0, "twice")):
+        if (np.abs(ratio / factor - 1) < 0.2).all():
+            yield f"predicted sizes are {words} the annotated ones on all three sides: l, w, h are full sizes"
+    long = ours[:, 3] > _LONG * ours[:, 4]
+    if np.count_nonzero(long) < _LEAST:
+        return
+    theirs, ours = theirs[long], ours[long]
+    kept = np.abs(np.log(theirs[:, 3:5] / ours[:, 3:5])).sum(axis=1)
+    swapped = np.abs(np.log(theirs[:, 4:2:-1] / ours[:, 3:5])).sum(axis=1)
+    if np.median(swapped) < 0.4 < np.median(kept):
+        yield "predicted boxes fit the annotated ones with length and width exchanged: l is the side along the heading"
+        return
+    yield from _headings(theirs[:, 6], ours[:, 6])
+
+
+_YAWS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "counted clockwise (it is counter-clockwise from +x)": np.negative,
+    "given in degrees (it is in radians)": np.deg2rad,
+    "multiplied by pi/180 once too often": np.rad2deg,
+    "off by 90 degrees": partial(np.add, np.pi / 2),
+    "counted clockwise from +y, like a compass or a camera's rotation_y": partial(np.subtract, np.pi / 2),
+}
+
+
+def _headings(theirs: Float[np.ndarray, " n"], ours: Float[np.ndarray, " n"]) -> Iterator[str]:
+    """Median error of the headings modulo half a turn, as read and as they may be meant."""
+    if _apart(theirs, ours) < 0.3:
+        return
+    fits = {words: _apart(change(theirs), ours) for words, change in _YAWS.items()}
+    best = min(fits, key=lambda words: fits[words])
+    if fits[best] < 0.15:
+        yield (
+            f"predicted headings differ from the annotated ones by {np.rad2deg(_apart(theirs, ours)):.0f} degrees "
+            f"(median), by {np.rad2deg(fits[best]):.0f} if yaw is {best}"
+        )
+
+
+def _apart(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> float:
+    gap = np.mod(a - b, np.pi)
+    return float(np.median(np.minimum(gap, np.pi - gap)))
