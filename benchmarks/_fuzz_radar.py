@@ -22,7 +22,7 @@ from farfield.datasets.kradar.writer import read_record
 from farfield.errors import FileFormatError
 from farfield.files import astyx, mat, npy, radar_cells, radiate, view_of_delft
 from farfield.files.description import read_description
-from farfield.files.mat_stream import open_mat
+from farfield.files.mat import open_mat
 from farfield.frame import Boxes
 
 Recipe = tuple[str, Callable[[Path], Any], tuple[bytes, ...], Callable[[Any], bool], tuple[bytes, ...]]

@@ -10,7 +10,7 @@ import numpy as np
 
 from farfield.files.bags import Bag
 from farfield.files.clock_logs import read_clock_log
-from farfield.files.point_cloud2 import read_points
+from farfield.files.sensor_messages import read_points
 from farfield.files.stamps import read_stamps, recognise_stamps
 from farfield.files.videos import film_frames, read_film, write_film
 

@@ -10,7 +10,7 @@ from farfield.annotation.fitting import BoxFit, Prior, fit_click, fit_drag, prio
 from farfield.frame import Boxes, Frame
 from farfield.geometry.boxes import box_coordinates_m, points_in_boxes
 from farfield.geometry.iou import paired_iou
-from farfield.vocabulary.sizes import VEHICLE_KINDS
+from farfield.vocabulary.classes import VEHICLE_KINDS
 
 LEAST_POINTS, LEAST_FOR_MEDIAN = 3, 5
 LIFT_M = 0.15  # points this little over a box's bottom may be the road's: nobody presses there

@@ -19,7 +19,7 @@ from farfield.simulation.presets import find_preset
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.rigs.drive import drive_of
 from farfield.simulation.rigs.kradar import KRadarFrame
-from farfield.vocabulary.published import RAISED_SHARES
+from farfield.vocabulary.published_tables import RAISED_SHARES
 
 
 def shares(high_pass_m: float, sequences: int, seed: int) -> np.ndarray:

@@ -44,7 +44,7 @@ from farfield.frame import Boxes
 from farfield.geometry.boxes import count_points_in_boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.simulation.sequence import simulate_frame
-from farfield.vocabulary.sizes import CIRRUS_SIZES_M, VEHICLE_KINDS
+from farfield.vocabulary.classes import CIRRUS_SIZES_M, VEHICLE_KINDS
 
 FEWEST_POINTS, NOISE_M, NOISE_RAD, SHORT_M = 5, 0.03, np.deg2rad(0.5), 0.2
 TYPES_M = {"trailer": ((5.2, 2.4, 1.8),), "large_vehicle": (VEHICLE_KINDS["van"], VEHICLE_KINDS["box truck"])}

@@ -27,7 +27,7 @@ from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame
 from farfield.radar.axes import KRADAR_AXES
 from farfield.simulation import simulate_frame
-from farfield.vocabulary.sizes import VEHICLE_KINDS
+from farfield.vocabulary.classes import VEHICLE_KINDS
 
 REAL = {
     "Luminar, KITTI, View-of-Delft, Argoverse 2": (

@@ -38,7 +38,7 @@ from farfield.files.atomic import write_text
 from farfield.frame import Frame
 from farfield.geometry.boxes import count_points_in_boxes
 from farfield.radar.axes import KRADAR_AXES
-from farfield.vocabulary.sizes import VEHICLE_KINDS
+from farfield.vocabulary.classes import VEHICLE_KINDS
 
 REAL = {"View-of-Delft": "view_of_delft/lidar", "Luminar": "cirrus_layout/Cirrus_dataset1"}
 BINS_M = ((0, 30), (30, 60), (60, 100), (100, 300))

@@ -32,7 +32,7 @@ from farfield.datasets.kradar.reader import KRadar
 from farfield.datasets.labels import Numbers
 from farfield.files.atomic import write_text
 from farfield.frame import Key
-from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
+from farfield.vocabulary.classes import SMALL_KINDS, VEHICLE_KINDS
 
 SEQUENCES, LENGTH, STEPS = ("1", "21", "54"), 61, (10, 20, 30)
 MOST_EDITS, FARTHEST_M = 12, 0.35

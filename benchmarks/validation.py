@@ -62,7 +62,7 @@ from farfield.simulation.weather.optics import haze_extinction_per_m, rain_extin
 from farfield.simulation.world.scene import SceneWindow
 from farfield.vocabulary.conditions import WEATHERS
 from farfield.vocabulary.patterns import PATTERNS
-from farfield.vocabulary.published import SHARES_NEAR_HORIZON
+from farfield.vocabulary.published_tables import SHARES_NEAR_HORIZON
 
 RESULTS = ROOT / "benchmarks" / "results"
 DETECTORS = RESULTS / "simulated_detection_v1.txt"

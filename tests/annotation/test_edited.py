@@ -20,7 +20,7 @@ from farfield.datasets.kradar.label_format import KRadarLabelFormat
 from farfield.datasets.kradar.reader import KRadar
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation
-from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
+from farfield.vocabulary.classes import SMALL_KINDS, VEHICLE_KINDS
 
 HEADER = "* idx(tesseract_os2-64_cam-front_os1-128_cam-lrr)={0}_{0}_{0}_{0}_{0}, timestamp=1643292946.{0}00000\n"
 OBJECTS = (

@@ -16,7 +16,7 @@ from farfield.annotation.store import Store, undo
 from farfield.datasets.edits import journal_folder
 from farfield.datasets.kradar.label_format import KRadarLabelFormat
 from farfield.datasets.kradar.reader import KRadar
-from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
+from farfield.vocabulary.classes import SMALL_KINDS, VEHICLE_KINDS
 
 
 def _unpacked(real: Path, root: Path, *, every: int = 1) -> dict[str, str]:

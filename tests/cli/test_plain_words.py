@@ -70,15 +70,15 @@ def test_every_extra_s_module_is_known() -> None:
 
 
 def test_advice_fits_the_way_of_installing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from farfield.errors import extras
+    from farfield.errors import wording
 
     asked = ["embreex>=4.4", "numba>=0.61"]
-    monkeypatch.setattr(extras, "_installed_from", lambda: ("index", ""))
+    monkeypatch.setattr(wording, "_installed_from", lambda: ("index", ""))
     assert 'pip install "farfield[simulate]"' in str(MissingExtraError("embreex", "simulate", "It"))
-    monkeypatch.setattr(extras, "_installed_from", lambda: ("editable", "checkouts/far field"))
+    monkeypatch.setattr(wording, "_installed_from", lambda: ("editable", "checkouts/far field"))
     assert 'pip install -e "checkouts/far field[simulate]"' in str(MissingExtraError("embreex", "simulate", "It"))
-    monkeypatch.setattr(extras, "_installed_from", lambda: ("file", ""))
-    monkeypatch.setattr(extras, "_requirements", lambda extra: asked)
+    monkeypatch.setattr(wording, "_installed_from", lambda: ("file", ""))
+    monkeypatch.setattr(wording, "_requirements", lambda extra: asked)
     assert 'pip install "embreex>=4.4" "numba>=0.61"' in str(MissingExtraError("embreex", "simulate", "It"))
 
 

@@ -19,7 +19,7 @@ from farfield.datasets import open_dataset
 from farfield.datasets.bags.reader import cloud_of, offsets_ns
 from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError, MissingExtraError
 from farfield.files.bags import Bag
-from farfield.files.point_cloud2 import read_points
+from farfield.files.sensor_messages import read_points
 from farfield.frame import merge_clouds
 
 START, MS = rosbag.START, 1_000_000
@@ -168,7 +168,7 @@ def test_columns_become_ours() -> None:
 
 
 def test_images_of_other_encodings(rng: np.random.Generator) -> None:
-    from farfield.files.ros_images import read_ros_compressed, read_ros_image
+    from farfield.files.sensor_messages import read_ros_compressed, read_ros_image
 
     pixels = rng.integers(0, 255, (5, 4, 3)).astype(np.uint8)
     np.testing.assert_array_equal(read_ros_image(rosbag.image(pixels[:, :, ::-1], 0, encoding="bgr8"), "m"), pixels)

@@ -12,7 +12,7 @@ from farfield.inspection.statistics import Statistics, gather, map_statistics, p
 from farfield.inspection.statistics.objects import points_by_distance, radar_survival, survival
 from farfield.inspection.statistics.radar import exponential_ratio
 from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
-from farfield.vocabulary.published import RAISED_SHARES
+from farfield.vocabulary.published_tables import RAISED_SHARES
 
 
 def cloud_at(elevation_deg, range_m=50.0):

@@ -13,7 +13,7 @@ from farfield.detectors.pointpillars.network import PointPillars, PointPillarsCo
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import FarfieldError, FileFormatError
-from farfield.vocabulary.sizes import CIRRUS_SIZES_M
+from farfield.vocabulary.classes import CIRRUS_SIZES_M
 
 SMALL = PointPillarsConfig(
     grid=GridConfig(range_m=64.0, half_width_m=20.0, cell_m=0.5), widths=(16, 32, 32), neck_width=32, out_stride=2

@@ -30,7 +30,7 @@ from farfield.detectors.pointrcnn.points import BandConfig, WindowConfig, three_
 from farfield.detectors.runtime import Detector
 from farfield.frame import Boxes, Cloud
 from farfield.metrics import score
-from farfield.vocabulary.sizes import CIRRUS_SIZES_M
+from farfield.vocabulary.classes import CIRRUS_SIZES_M
 
 
 def level(centres, radii_m, *widths):

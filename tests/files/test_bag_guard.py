@@ -13,10 +13,8 @@ from bag_messages import START, imu
 from rosbags.rosbag2.storage_mcap import zstd
 
 from farfield.errors import FileFormatError
-from farfield.files.bag_guard import FREE_BYTES, MOST_BYTES, MOST_TIMES, allowed_bytes, unpacked
-from farfield.files.bag_writing import write_bag_part
-from farfield.files.bags import Bag
-from farfield.files.ros_messages import IMU, serialised, store
+from farfield.files.bag_writing import IMU, serialised, store, write_bag_part
+from farfield.files.bags import FREE_BYTES, MOST_BYTES, MOST_TIMES, Bag, allowed_bytes, unpacked
 
 CHUNK = 6
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.errors import FileFormatError
-from farfield.files.bin_columns import bin_columns
+from farfield.files.clouds import bin_columns
 
 
 def sweep(points: int, seed: int = 0) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.files.decimals import parse_decimals
+from farfield.files.ascii_table import parse_decimals
 
 
 def bits(values: np.ndarray) -> list[int]:

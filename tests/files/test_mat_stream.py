@@ -9,8 +9,7 @@ import scipy.io
 from mat_elements import damaged, file, matrix, packed
 
 from farfield.errors import FileFormatError
-from farfield.files.mat import read_mat, write_mat
-from farfield.files.mat_stream import open_mat
+from farfield.files.mat import open_mat, read_mat, write_mat
 
 
 def read_in_blocks(path: Path, name: str, columns: int, **options: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.files.spool import DiskDict, MappedView, alike
+from farfield.files.disk_dict import DiskDict, MappedView, alike
 
 
 def test_gives_back_what_was_put_in_whatever_came_between(tmp_path: Path) -> None:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from farfield.files import text_table
+from farfield.files import ascii_table
 
 
 def words(text: np.ndarray) -> list[str]:
-    return text_table.join([text], " ").decode("ascii").split("\n")[:-1]
+    return ascii_table.join([text], " ").decode("ascii").split("\n")[:-1]
 
 
 @pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"])
@@ -16,7 +16,7 @@ def test_integers_of_every_size(kind: str, rng: np.random.Generator) -> None:
     powers = [10**power for power in range(20) if 10**power <= limits.max]
     drawn = rng.integers(limits.min, limits.max, 500, dtype=np.dtype(kind), endpoint=True).tolist()
     values = [limits.min, limits.max, 0, *powers, *(power - 1 for power in powers), *drawn]
-    assert words(text_table.integers(np.array(values, dtype=kind))) == [str(value) for value in values]
+    assert words(ascii_table.integers(np.array(values, dtype=kind))) == [str(value) for value in values]
 
 
 @pytest.mark.parametrize("places", [0, 1, 3, 4, 5, 8, 11])
@@ -25,7 +25,7 @@ def test_fixed_point_is_pythons(places: int, rng: np.random.Generator) -> None:
     expected = [f"{value:.{places}f}" for value in values]
     zero = [float(word) == 0 for word in expected]  # Python writes -0.00
     expected = [word.removeprefix("-") if none else word for word, none in zip(expected, zero, strict=True)]
-    assert words(text_table.fixed_point(values, places)) == expected
+    assert words(ascii_table.fixed_point(values, places)) == expected
 
 
 def test_every_bit_of_float32_survives(rng: np.random.Generator) -> None:
@@ -35,7 +35,7 @@ def test_every_bit_of_float32_survives(rng: np.random.Generator) -> None:
     usual = rng.normal(0, 50, 20_000).astype(np.float32)
     special = np.array([0.0, -0.0, np.inf, -np.inf, 0.1, 1 / 3], dtype=np.float32)
     values = np.concatenate([corners, -corners, anything[np.isfinite(anything)], usual, special])
-    texts = words(text_table.floats(values))
+    texts = words(ascii_table.floats(values))
     back = np.array([float(text) for text in texts]).astype(np.float32)
     np.testing.assert_array_equal(back.view(np.uint32), values.view(np.uint32))
     plain = [text.lstrip("-").replace(".", "").lstrip("0") for text in texts if "e" not in text and text[-1].isdigit()]
@@ -45,12 +45,12 @@ def test_every_bit_of_float32_survives(rng: np.random.Generator) -> None:
 def test_floats_are_short_and_not_a_number_is_nan() -> None:
     values = np.array([1.5, -2.25, 100.0, 0.0, 0.1, 1e-6, 3e12, np.nan], dtype=np.float32)
     expected = ["1.5", "-2.25", "100", "0", "0.100000001", "9.99999997e-07", "3.00000005e+12", "nan"]
-    assert words(text_table.floats(values)) == expected
-    assert words(text_table.floats(np.array([0.1, 1e300]))) == ["0.10000000000000001", "1.0000000000000001e+300"]
+    assert words(ascii_table.floats(values)) == expected
+    assert words(ascii_table.floats(np.array([0.1, 1e300]))) == ["0.10000000000000001", "1.0000000000000001e+300"]
 
 
 def test_columns_are_joined_and_may_be_empty() -> None:
-    columns = [text_table.integers(np.array([1, 20])), text_table.fixed_point(np.array([0.5, -0.25]), 2)]
-    assert text_table.join(columns, ",") == b"1,0.50\n20,-0.25\n"
-    empty = [text_table.integers(np.empty(0, dtype=int)), text_table.floats(np.empty(0, dtype=np.float32))]
-    assert text_table.join(empty, ",") == b""
+    columns = [ascii_table.integers(np.array([1, 20])), ascii_table.fixed_point(np.array([0.5, -0.25]), 2)]
+    assert ascii_table.join(columns, ",") == b"1,0.50\n20,-0.25\n"
+    empty = [ascii_table.integers(np.empty(0, dtype=int)), ascii_table.floats(np.empty(0, dtype=np.float32))]
+    assert ascii_table.join(empty, ",") == b""

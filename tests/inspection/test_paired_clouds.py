@@ -77,7 +77,7 @@ def test_a_wrong_pair_is_named(roots, tmp_path, capsys):
 def test_the_published_figure_stays_beside_a_renamed_gaussian_cloud(roots, tmp_path):
     limits = {str(limit): 0.5 for limit in (0.1, 0.25, 0.5, 1.0)}
     cloud = {"far_m": 8.0, "focus_deg": -2.0, "far_share_of_horizon": limits}
-    from farfield.vocabulary.published import SHARES_NEAR_HORIZON
+    from farfield.vocabulary.published_tables import SHARES_NEAR_HORIZON
 
     cloud["far_share_of_horizon"] = dict.fromkeys(SHARES_NEAR_HORIZON, 0.5)
     sides, _ = pair_clouds(

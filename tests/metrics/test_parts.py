@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.files.spool import DiskDict
+from farfield.files.disk_dict import DiskDict
 from farfield.frame import Annotation, Boxes
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
 from farfield.metrics.breakdown import by_class, by_part, parts, parts_json

@@ -19,7 +19,7 @@ from farfield.metrics.comparing import compare, read_results
 from farfield.metrics.detections import presentation_of
 from farfield.metrics.result import subject_of
 from farfield.pages import evaluation_page
-from farfield.radar.grid import CUBE_SHAPE
+from farfield.radar.axes import CUBE_SHAPE
 from farfield.testing.protocols import example
 
 STILL = Bootstrap(replicates=3)

@@ -9,7 +9,7 @@ from farfield.figures.style import ANNOTATED, PREDICTED
 from farfield.frame import Boxes, Cloud
 from farfield.inspection.radar_frame import RadarLook
 from farfield.papers.radar_sheets import LOST, WINDOW_M, RadarSheet, SheetGroup, sheet_picture
-from farfield.radar.grid import CUBE_SHAPE
+from farfield.radar.axes import CUBE_SHAPE
 from farfield.radar.views import RadarViews
 
 CORRIDOR = (0.0, 72.0, -6.4, 6.4)

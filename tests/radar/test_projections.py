@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.radar.axes import KRADAR_AXES
-from farfield.radar.projections import bev_2d, bfs_2d, decibel, polar_views
+from farfield.radar.views import bev_2d, bfs_2d, decibel, polar_views
 
 
 def test_one_cell_stands_where_it_should_in_each_view():

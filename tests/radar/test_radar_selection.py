@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from farfield.radar.grid import CUBE_SHAPE, OUTSIDE
-from farfield.radar.products import sparse_cloud, sparse_clouds, thresholds
-from farfield.radar.selection import cells_above, rounded_down
+from farfield.radar.axes import CUBE_SHAPE, OUTSIDE
+from farfield.radar.products import cells_above, rounded_down, sparse_cloud, sparse_clouds, thresholds
 
 RATES = (0.0001, 0.001, 0.01, 0.05, 0.1, 0.3, 0.5)  # "Enhanced K-Radar" varies 0.01 to 50 %
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from farfield.radar.axes import RadarAxes
-from farfield.radar.side_lobes import Antenna, marks_of_points, side_lobes
+from farfield.radar.cfar import Antenna, marks_of_points, side_lobes
 
 AXES = RadarAxes(np.arange(3) * 0.5, np.arange(-53.0, 54.0), np.arange(-18.0, 19.0), np.arange(-32, 32) * 0.06)
 ANTENNA = Antenna(azimuth_db=13.2, elevation_db=12.9, azimuth_lobe_deg=2.0, elevation_lobe_deg=12.0)

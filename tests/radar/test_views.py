@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from farfield.radar.axes import KRADAR_AXES, POWER_UNIT
+from farfield.radar.axes import CUBE_X_M, CUBE_Y_M, CUBE_Z_M, KRADAR_AXES, POWER_UNIT
 from farfield.radar.cells import cells_of_cube
-from farfield.radar.grid import CUBE_X_M, CUBE_Y_M, CUBE_Z_M
 from farfield.radar.products import moments, polar3d, zyx_cube
 from farfield.radar.views import PolarPeaks, echoes_of, radar_views
 

@@ -20,7 +20,7 @@ from studio.showing.test_studio_wire import decode
 
 from farfield.cli import main
 from farfield.errors import ConfigError, FileFormatError
-from farfield.files.animations import write_animation
+from farfield.files.images import write_animation
 from farfield.studio.exports import standalone
 from farfield.studio.messages.replies import FrameState, Welcome
 from farfield.studio.messages.rows import FrameInfo

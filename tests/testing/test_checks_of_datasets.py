@@ -1,4 +1,4 @@
-"""The checks of data sets find what is wrong, and say how to fix it."""
+"""The checks of data sets find what is wrong, and say how to mend it."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -11,7 +11,7 @@ from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRAD
 from farfield.vocabulary.conditions import CONDITIONS, UNKNOWN, WEATHER_COLOURS, WEATHERS
 from farfield.vocabulary.kradar import REGIONS_M
 from farfield.vocabulary.patterns import PATTERNS
-from farfield.vocabulary.published import RADAR_LEVELS, ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
+from farfield.vocabulary.published_tables import RADAR_LEVELS, ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
 
 
 def _words(node: ast.AST) -> list[object]:
@@ -114,7 +114,9 @@ def test_the_two_scan_patterns_are_named_once() -> None:
 
 @pytest.mark.parametrize("figures", [SHARES_NEAR_HORIZON, RADAR_LEVELS, ROW_QUANTILES_DB])
 def test_published_figures_stand_once(figures: dict[str, str]) -> None:
-    assert _holding(lambda node: list(figures) == _words(node) and bool(_values(node))) == ["vocabulary/published.py"]
+    assert _holding(lambda node: list(figures) == _words(node) and bool(_values(node))) == [
+        "vocabulary/published_tables.py"
+    ]
     numbers = [float(text) for text in figures.values() if text.replace(".", "").isdigit()]
     assert _holding(lambda node: len(numbers) > 2 and _values(node) == numbers) == []
 

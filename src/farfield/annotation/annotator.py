@@ -59,8 +59,7 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.frame import Boxes, Frame, Key
 from farfield.geometry.iou import pairwise_iou
-from farfield.vocabulary.classes import CIRRUS_CLASSES
-from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
+from farfield.vocabulary.classes import CIRRUS_CLASSES, SMALL_KINDS, VEHICLE_KINDS
 
 START = "labels.csv"
 _OPENING_FRAMES = 50

@@ -29,9 +29,11 @@ from farfield.vocabulary.classes import (
     CIRRUS_FROM_KITTI,
     CIRRUS_FROM_KRADAR,
     CIRRUS_FROM_VIEW_OF_DELFT,
+    CIRRUS_SIZES_M,
     KRADAR_FROM_CIRRUS,
+    SMALL_KINDS,
+    VEHICLE_KINDS,
 )
-from farfield.vocabulary.sizes import CIRRUS_SIZES_M, SMALL_KINDS, VEHICLE_KINDS
 
 SCHEMA = "classes.yaml"
 MAX_BYTES = 1 << 20

@@ -26,8 +26,8 @@ from farfield.calibration.registration import Registration, register
 from farfield.calibration.sweeps import at_moment, pose_track, sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.ascii_table import parse_table
 from farfield.files.atomic import read_bytes
-from farfield.files.table import parse_table
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
 

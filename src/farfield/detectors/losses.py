@@ -34,13 +34,13 @@ def focal_loss(
     Returns:
         A scalar, not normalised.
     """
-    logit = logits.reshape(-1).float()
-    right = logit[positive]
+    flat = logits.reshape(-1).float()
+    right = flat[positive]
     as_positive = alpha * torch.sigmoid(-right) ** gamma * functional.softplus(-right)
     as_positive = as_positive if weight is None else as_positive * weight
-    uncounted = logit[torch.cat([positive, ignored])]
-    all_negative, surplus = (_as_negative(x, alpha, gamma).sum() for x in (logit, uncounted))
-    return all_negative - surplus + as_positive.sum()
+    uncounted = flat[torch.cat([positive, ignored])]
+    every, surplus = (_as_negative(x, alpha, gamma).sum() for x in (flat, uncounted))
+    return every - surplus + as_positive.sum()
 
 
 def _as_negative(logits: Tensor, alpha: float, gamma: float) -> Tensor:

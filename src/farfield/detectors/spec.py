@@ -14,7 +14,7 @@ NetworkClass = TypeVar("NetworkClass", bound=type)
 
 @dataclass(frozen=True, kw_only=True)
 class DetectorSpec:
-    """One kind of detector; nothing of it is imported before first use.
+    """One kind of detector; nothing of it is imported before it is asked for.
 
     Args:
         name: Its name in an experiment's ``detector.name`` and in weights files.
@@ -48,10 +48,10 @@ class DetectorSpec:
         return _loaded(self.network)
 
 
-def _loaded(target: "str | type") -> Any:
-    if not isinstance(target, str):
-        return target
-    module, _, attribute = target.partition(":")
+def _loaded(place: "str | type") -> Any:
+    if not isinstance(place, str):
+        return place
+    module, _, attribute = place.partition(":")
     try:
         return getattr(import_module(module), attribute)
     except ModuleNotFoundError as error:
@@ -64,13 +64,13 @@ class Detectors(Registry[DetectorSpec]):
     """Detectors by name."""
 
     def __getitem__(self, name: str) -> DetectorSpec:
-        spec = super().__getitem__(name)
-        if not isinstance(spec, DetectorSpec) or spec.name != name:
+        found = super().__getitem__(name)
+        if not isinstance(found, DetectorSpec) or found.name != name:
             raise PluginError(
                 f"detector {name!r} of the package {self.origin(name)} cannot be used: expected a "
-                f"farfield.detectors.DetectorSpec with name={name!r}, got {spec!r}"
+                f"farfield.detectors.DetectorSpec with name={name!r}, got {found!r}"
             )
-        return spec
+        return found
 
 
 DETECTORS = Detectors(

@@ -73,8 +73,8 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
             tensors = {name: _single(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except SafetensorError as error:
         raise FileFormatError(path, where="header", expected="safetensors", found=str(error)) from error
-    is_ours = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
-    if not is_ours or sum(map(len, metadata.values())) > _MAX_METADATA_BYTES:
+    known = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
+    if not known or sum(map(len, metadata.values())) > _MAX_METADATA_BYTES:
         raise FileFormatError(
             path,
             where="metadata",

@@ -5,8 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from farfield.errors.extras import EXTRAS, advice
-from farfield.errors.wording import fault_of, plain
+from farfield.errors.wording import EXTRAS, advice, fault_of, plain
 
 __all__ = [
     "EXTRAS",

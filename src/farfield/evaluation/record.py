@@ -28,7 +28,7 @@ from farfield.files.images import read_image, write_image
 from farfield.frame import Annotation, Cloud, Constant, Frame, Lazy, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.radar.grid import CUBE_SHAPE
+from farfield.radar.axes import CUBE_SHAPE
 
 EVALUATION = "evaluation.json"
 _LIMIT_BYTES = 1 << 28

@@ -10,7 +10,7 @@ from farfield.figures.style import INK, MUTED, SIDES, house_style, new_figure
 from farfield.inspection.comparison import ComparedDataset
 from farfield.vocabulary.conditions import CONDITIONS, WEATHER_COLOURS, condition_name
 from farfield.vocabulary.patterns import PATTERNS
-from farfield.vocabulary.published import ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
+from farfield.vocabulary.published_tables import ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,8 +14,7 @@ from farfield.figures.camera import box_lines
 from farfield.figures.style import ANNOTATED, INK, MUTED, PATTERNS, PREDICTED, RULE, house_style, new_figure
 from farfield.frame import Boxes, Frame
 from farfield.inspection.radar_frame import RadarLook
-from farfield.radar.axes import KRADAR_AXES
-from farfield.radar.grid import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M
+from farfield.radar.axes import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, KRADAR_AXES
 from farfield.radar.views import PRODUCTS, PolarPeaks, radar_views
 from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.kradar import REGIONS_M

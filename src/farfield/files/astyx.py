@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.errors import FileFormatError
+from farfield.files.ascii_table import parse_table
 from farfield.files.atomic import MAX_BYTES, read_bytes
 from farfield.files.cuboids import numbers
 from farfield.files.json_text import parse_json
-from farfield.files.table import parse_table
 
 RADAR_COLUMNS = ("X", "Y", "Z", "V_r", "Mag")
 LIDAR_COLUMNS = ("X", "Y", "Z", "Reflectivity", "LaserID", "Timestamp")
@@ -54,8 +54,8 @@ def read_points(path: Path | str, columns: Sequence[str]) -> list[Float[np.ndarr
     lines = read_bytes(path, max_bytes=MAX_BYTES).replace(b"\r\n", b"\n").lstrip(b"\n").rstrip()
     head, _, body = lines.partition(b"\n")
     if head.decode("ascii", errors="replace").split() != list(columns):
-        found = repr(head[:80].decode("ascii", errors="replace"))
-        raise FileFormatError(path, where="the header", expected=" ".join(columns), found=found)
+        actual = repr(head[:80].decode("ascii", errors="replace"))
+        raise FileFormatError(path, where="the header", expected=" ".join(columns), found=actual)
     if not body:
         raise FileFormatError(path, where="the points", expected="at least one", found="none")
     table = parse_table(body, dtypes=[np.dtype(np.float64)] * len(columns), separator=None, path=path, line=3)
@@ -72,9 +72,9 @@ def read_sensors(path: Path | str) -> dict[str, Mapping[str, Float[np.ndarray, "
         FileFormatError: If the file holds anything else.
     """
     content = parse_json(read_bytes(path, max_bytes=_JSON_BYTES), path, max_bytes=_JSON_BYTES)
-    found: dict[str, Mapping[str, Float[np.ndarray, "r c"]]] = {}
-    for place, sensor in enumerate(_listed(content, "sensors", path)):
-        where, name, data = f"sensors[{place}]", sensor.get("sensor_uid"), sensor.get("calib_data")
+    poses: dict[str, Mapping[str, Float[np.ndarray, "r c"]]] = {}
+    for number, sensor in enumerate(_listed(content, "sensors", path)):
+        where, name, data = f"sensors[{number}]", sensor.get("sensor_uid"), sensor.get("calib_data")
         if not isinstance(name, str) or not isinstance(data, dict):
             raise FileFormatError(path, where=where, expected="sensor_uid and calib_data", found=repr(sensor)[:80])
         matrices = {"T_to_ref_COS": _matrix(data.get("T_to_ref_COS"), 4, path, where)}
@@ -83,8 +83,8 @@ def read_sensors(path: Path | str) -> dict[str, Mapping[str, Float[np.ndarray, "
         pose = matrices["T_to_ref_COS"]
         if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-2) or np.linalg.det(pose[:3, :3]) < 0:
             raise FileFormatError(path, where=where, expected="a rotation and a place", found=repr(pose.tolist())[:120])
-        found[name] = matrices
-    return found
+        poses[name] = matrices
+    return poses
 
 
 def read_objects(path: Path | str) -> list[AstyxObject]:
@@ -94,7 +94,9 @@ def read_objects(path: Path | str) -> list[AstyxObject]:
         FileFormatError: If the file holds anything else.
     """
     content = parse_json(read_bytes(path, max_bytes=_JSON_BYTES), path, max_bytes=_JSON_BYTES)
-    return [_object(entry, path, f"objects[{place}]") for place, entry in enumerate(_listed(content, "objects", path))]
+    return [
+        _object(entry, path, f"objects[{number}]") for number, entry in enumerate(_listed(content, "objects", path))
+    ]
 
 
 def _object(entry: Mapping[str, Any], path: Path | str, where: str) -> AstyxObject:

@@ -3,13 +3,13 @@
 Whatever a damaged bag makes of the library becomes a :class:`FileFormatError`, and a bag that gives fewer messages than
 it says is damaged. A changed payload is seen only where the format has a checksum (MCAP's chunks, if the writer filled
 it in); SQLite has none, and an altered message without a checksum reads as another message. What would unpack to
-absurdly much is refused before it is (:mod:`farfield.files.bag_guard`).
+absurdly much is refused before it is (:mod:`farfield.files.bags`).
 """
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from weakref import finalize
@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Int64
 
 from farfield.errors import FarfieldError, FileFormatError, MissingExtraError
-from farfield.files.bag_guard import bounded, check_packed_file, check_records, unpacked_message
 
 SUFFIXES = (".mcap", ".db3")
 HEADER = "std_msgs/msg/Header"
@@ -76,9 +75,9 @@ class Bag:
                 Topic(str(name), str(topic.msgtype), int(topic.msgcount))
                 for name, topic in sorted(reader.topics.items())
             )
-            said = int(reader.message_count)
-        if (counted := sum(topic.size for topic in self.topics)) != said:
-            raise _wrong(self.path, counted, f"{said} messages in all topics", f"{counted}")
+            claimed_count = int(reader.message_count)
+        if (counted := sum(topic.size for topic in self.topics)) != claimed_count:
+            raise _wrong(self.path, counted, f"{claimed_count} messages in all topics", f"{counted}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": None}
@@ -124,22 +123,22 @@ class Bag:
         Raises:
             FileFormatError: If the bag is damaged, or read whole gives another number of messages than it says.
         """
-        known = {topic.name: topic for topic in self.topics if not names or topic.name in names}
-        counts = dict.fromkeys(known, 0)
+        topics = {topic.name: topic for topic in self.topics if not names or topic.name in names}
+        counts = dict.fromkeys(topics, 0)
         with guarded(self.path, "the messages"):
             reader = self._reader()
-            chosen = [connection for connection in reader.connections if connection.topic in known]
+            chosen = [connection for connection in reader.connections if connection.topic in topics]
             source = reader.messages(chosen, start_ns, stop_ns) if chosen else iter(())
-        while (found := _next(self.path, source, sum(counts.values()))) is not None:
-            connection, log_ns, raw = found
+        while (record := _next(self.path, source, sum(counts.values()))) is not None:
+            connection, log_ns, raw = record
             if len(raw) > _MAX_MESSAGE_BYTES:
                 raise _wrong(self.path, sum(counts.values()), f"at most {_MAX_MESSAGE_BYTES} bytes", f"{len(raw)}")
             if self._packed:
                 with guarded(self.path, f"message {sum(counts.values())}"):
                     raw = unpacked_message(raw)
             counts[connection.topic] += 1
-            yield known[connection.topic], int(log_ns), bytes(raw)
-        for name, topic in known.items():
+            yield topics[connection.topic], int(log_ns), bytes(raw)
+        for name, topic in topics.items():
             if start_ns is None and stop_ns is None and counts[name] != topic.size:
                 raise FileFormatError(
                     self.path, where=f"topic {name}", expected=f"{topic.size} messages",
@@ -234,9 +233,11 @@ def _check_size(path: Path) -> None:
     size = path.stat().st_size
     page = int.from_bytes(head[16:18], "big")
     page = 65536 if page == 1 else page
-    said = page * int.from_bytes(head[28:32], "big")
-    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < said:
-        raise FileFormatError(path, where="the file", expected=f"an SQLite file of {said} bytes", found=f"{size} bytes")
+    claimed_bytes = page * int.from_bytes(head[28:32], "big")
+    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < claimed_bytes:
+        raise FileFormatError(
+            path, where="the file", expected=f"an SQLite file of {claimed_bytes} bytes", found=f"{size} bytes"
+        )
 
 
 @contextmanager
@@ -247,10 +248,138 @@ def guarded(path: Path | str, where: str) -> Iterator[None]:
     except FarfieldError:
         raise
     except Exception as error:  # the library lets Unicode, key, memory and other errors of damaged bytes through
-        found = f"{type(error).__name__}: {error}"[:200]
+        actual = f"{type(error).__name__}: {error}"[:200]
         mend = "A recorder that was killed leaves no end; `ros2 bag reindex` may save what is left."
-        raise FileFormatError(path, where=where, expected="a whole bag", found=found, mend=mend) from error
+        raise FileFormatError(path, where=where, expected="a whole bag", found=actual, mend=mend) from error
 
 
-def _wrong(path: Path, number: int, expected: str, found: str) -> FileFormatError:
-    return FileFormatError(path, where=f"message {number}", expected=expected, found=found)
+def _wrong(path: Path, number: int, expected: str, actual: str) -> FileFormatError:
+    return FileFormatError(path, where=f"message {number}", expected=expected, found=actual)
+
+
+# Bags that would fill the memory or the disk: sizes that records claim are checked before anything is unpacked.
+#
+# A record is an opcode, its length (8 bytes) and its content; a chunk (opcode 6) holds two times, the size that it
+# unpacks to, a checksum, the name of the compression, and the packed bytes behind their length (https://mcap.dev/spec).
+# A chunk of a few kilobytes of zstd may unpack to terabytes, whatever size it claims.
+
+MOST_BYTES = 1 << 30
+"""No chunk unpacks to more."""
+FREE_BYTES, MOST_TIMES = 64 << 20, 256
+"""Beyond so many bytes, a chunk unpacks to at most so many times its packed size."""
+_MAGIC, _CHUNK, _HEAD = b"\x89MCAP0\r\n", 6, 36
+
+
+def allowed_bytes(packed: int) -> int:
+    """To how many bytes so many packed ones may unpack."""
+    return min(MOST_BYTES, FREE_BYTES + MOST_TIMES * packed)
+
+
+def check_records(path: Path) -> None:
+    """Walk through a file's records without reading their content; a file that is no MCAP is left to its reader.
+
+    Raises:
+        FileFormatError: If a record claims to end beyond the file, or a chunk to unpack to absurdly much.
+    """
+    size, number = path.stat().st_size, 0
+    with path.open("rb") as handle:
+        if handle.read(len(_MAGIC)) != _MAGIC:
+            return
+        while handle.tell() < size - len(_MAGIC):
+            head = handle.read(9)
+            length, offset = int.from_bytes(head[1:], "little"), handle.tell()
+            if len(head) < 9 or offset + length > size:
+                raise _too_large(path, number, f"a record that ends within the file's {size} bytes", f"{length} bytes")
+            if head[0] == _CHUNK:
+                _check_chunk(path, number, handle.read(min(length, _HEAD + 64)), length)
+            handle.seek(offset + length)
+            number += 1
+
+
+def _check_chunk(path: Path, number: int, head: bytes, length: int) -> None:
+    unpacked, name = int.from_bytes(head[16:24], "little"), int.from_bytes(head[28:32], "little")
+    packed = int.from_bytes(head[32 + name : 40 + name], "little")
+    if len(head) < 40 + name or packed > length:
+        raise _too_large(path, number, f"a chunk within its record of {length} bytes", f"{packed} packed bytes")
+    if unpacked > allowed_bytes(packed):
+        expected = f"a chunk of {packed} bytes that unpacks to at most {allowed_bytes(packed)}"
+        raise _too_large(path, number, expected, f"one that claims {unpacked}")
+
+
+def _too_large(path: Path, number: int, expected: str, actual: str) -> FileFormatError:
+    return FileFormatError(path, where=f"record {number}", expected=expected, found=actual)
+
+
+def bounded() -> None:
+    """Make rosbags unpack a chunk to no more than the size that it claims, which is refused where it is absurd."""
+    from rosbags.rosbag2 import storage_mcap
+
+    decompressors: dict[str, Any] = storage_mcap.DECOMPRESSORS
+    for name in ("zstd", "lz4"):
+        if name in decompressors and not isinstance(decompressors[name], partial):
+            decompressors[name] = partial(unpacked, name)
+
+
+def unpacked(name: str, data: bytes, size: int) -> bytes:
+    """Unpack one chunk, never beyond its size.
+
+    Args:
+        name: "zstd" or "lz4".
+        data: The packed bytes.
+        size: What the chunk claims to unpack to.
+
+    Raises:
+        ValueError: If the size is absurd, or the bytes unpack to more.
+    """
+    if size > allowed_bytes(len(data)):
+        raise ValueError(f"a chunk of {len(data)} bytes that claims to unpack to {size}")
+    if name == "zstd":
+        from rosbags.rosbag2.storage_mcap import zstd
+
+        chunk: bytes = zstd.ZstdDecompressor().decompress(data, max_length=size + 1)
+    else:
+        from lz4.frame import LZ4FrameDecompressor
+
+        chunk = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    if len(chunk) > size:
+        raise ValueError(f"a chunk that unpacks to more than the {size} bytes that it claims")
+    return chunk
+
+
+def unpacked_message(data: bytes) -> bytes:
+    """Unpack a message that was packed by itself (``compression_mode: message``).
+
+    Raises:
+        ValueError: If it unpacks to absurdly much.
+    """
+    from rosbags.rosbag2.storage_mcap import zstd
+
+    most = allowed_bytes(len(data))
+    message: bytes = zstd.ZstdDecompressor().decompress(data, max_length=most + 1)
+    if len(message) > most:
+        raise ValueError(f"a message of {len(data)} bytes that unpacks to more than {most}")
+    return message
+
+
+def check_packed_file(path: Path) -> None:
+    """Unpack a file that was packed as a whole (``compression_mode: file``), without keeping anything, up to a bound.
+
+    Raises:
+        FileFormatError: If it unpacks to more than 256 times its size and 64 MiB.
+    """
+    try:
+        from rosbags.rosbag2.storage_mcap import zstd
+    except ImportError as error:
+        raise MissingExtraError("rosbags", "bags", "Reading ROS 2 bags") from error
+    size, unpacked_bytes = path.stat().st_size, 0
+    most = FREE_BYTES + MOST_TIMES * size
+    try:
+        with zstd.open(path, "rb") as handle:
+            while block := handle.read(1 << 20):
+                unpacked_bytes += len(block)
+                if unpacked_bytes > most:
+                    raise FileFormatError(
+                        path, where="the file", expected=f"at most {most} bytes when unpacked", found="more"
+                    )
+    except (OSError, EOFError, zstd.ZstdError) as error:
+        raise FileFormatError(path, where="the file", expected="a file packed with zstd", found=str(error)) from error

@@ -49,14 +49,14 @@ def read_boreas_objects(path: Path | str) -> BoreasObjects:
     names, rows = [], []
     text = read_bytes(path, max_bytes=_MAX_BYTES).decode("ascii", "replace")
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
-        if not words:
+        fields = line.split()
+        if not fields:
             continue
-        values = _numbers(words[2:]) if len(words) == _CELLS else None
+        values = _numbers(fields[2:]) if len(fields) == _CELLS else None
         if values is None or min(values[:3]) <= 0 or values[7] < 0:
             expected = "uuid, class, positive length width height, x y z, yaw, number of points"
             raise FileFormatError(path, where=f"line {number}", expected=expected, found=line[:100])
-        names.append((words[0], words[1]))
+        names.append((fields[0], fields[1]))
         rows.append(values)
     table = np.array(rows, dtype=np.float64).reshape(-1, _CELLS - 2)
     return BoreasObjects(
@@ -101,9 +101,9 @@ def _about(axis: int, angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "
     return out
 
 
-def _numbers(words: list[str]) -> list[float] | None:
+def _numbers(fields: list[str]) -> list[float] | None:
     try:
-        values = [float(word) for word in words]
+        values = [float(word) for word in fields]
     except ValueError:
         return None
     return values if all(abs(value) < _LARGEST for value in values) else None

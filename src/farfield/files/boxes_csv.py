@@ -12,14 +12,15 @@ import csv
 import io
 import math
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from farfield.errors import FileFormatError
+from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import open_atomic, read_bytes
 
 MAX_CSV_BYTES = 1 << 28
@@ -93,18 +94,18 @@ def parse_boxes_csv(data: bytes, path: Path | str) -> BoxRows:
     header = [name.strip() for name in next(rows, (1, []))[1]]
     _check_header(path, header)
     numbers = {name: array("d") for name in COLUMNS if name in header and name not in _WORDS}
-    words: dict[str, list[str]] = {name: [] for name in _WORDS if name in header}
-    known: dict[str, str] = {}  # one string a name, however many rows bear it
+    texts: dict[str, list[str]] = {name: [] for name in _WORDS if name in header}
+    interned: dict[str, str] = {}  # one string a name, however many rows bear it
     for line, row in rows:
         if len(row) != len(header):
             raise _wrong(path, line, f"{len(header)} columns as in the header", str(len(row)))
         for name, text in zip(header, row, strict=True):
             text = text.strip()
-            if name in words:
-                words[name].append(known.setdefault(text, text) if text else _missing(path, line, name))
+            if name in texts:
+                texts[name].append(interned.setdefault(text, text) if text else _missing(path, line, name))
             else:
                 numbers[name].append(_number(path, line, name, text))
-    return _assemble(path, words, {name: np.array(values, dtype=np.float64) for name, values in numbers.items()})
+    return _assemble(path, texts, {name: np.array(values, dtype=np.float64) for name, values in numbers.items()})
 
 
 def write_boxes_csv(path: Path | str, rows: BoxRows) -> None:
@@ -176,8 +177,8 @@ def _velocity_cells(velocity_m_s: Float[np.ndarray, "n axes"]) -> dict[str, list
     return dict(zip(_VELOCITY, cells.T.tolist(), strict=False))
 
 
-def _wrong(path: Path | str, line: int, expected: str, found: str) -> FileFormatError:
-    return FileFormatError(path, where=f"line {line}", expected=expected, found=found)
+def _wrong(path: Path | str, line: int, expected: str, actual: str) -> FileFormatError:
+    return FileFormatError(path, where=f"line {line}", expected=expected, found=actual)
 
 
 def _missing(path: Path | str, line: int, name: str) -> str:
@@ -188,8 +189,8 @@ def _decoded(data: bytes, path: Path | str) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"byte 0x{error.object[error.start]:02x}"
-        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=found) from None
+        actual = f"byte 0x{error.object[error.start]:02x}"
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=actual) from None
 
 
 def _csv_rows(path: Path | str, text: str) -> Iterator[tuple[int, list[str]]]:
@@ -205,19 +206,19 @@ def _csv_rows(path: Path | str, text: str) -> Iterator[tuple[int, list[str]]]:
 def _check_header(path: Path | str, header: list[str]) -> None:
     missing = [name for name in _NEEDED if name not in header]
     unknown = [name for name in header if name not in COLUMNS]
-    found = f"{', '.join(header)[:200]}" if header else "an empty file"
+    actual = f"{', '.join(header)[:200]}" if header else "an empty file"
     if missing or unknown or len(set(header)) < len(header):
         perhaps = ", ".join((*_OPTIONAL, *_VELOCITY))
         raise FileFormatError(
             path,
             where="line 1",
             expected=f"a header with each of {', '.join(_NEEDED)} once (and perhaps {perhaps})",
-            found=found,
+            found=actual,
             mend=_mend(header, missing),
         )
     axes = [name for name in _VELOCITY if name in header]
     if axes and axes[:2] != list(_VELOCITY[:2]):
-        raise FileFormatError(path, where="line 1", expected="vx_m_s and vy_m_s, or no velocities", found=found)
+        raise FileFormatError(path, where="line 1", expected="vx_m_s and vy_m_s, or no velocities", found=actual)
 
 
 def _mend(header: list[str], missing: list[str]) -> str:
@@ -246,7 +247,7 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
     return value
 
 
-def _assemble(path: Path | str, words: dict[str, list[str]], numbers: dict[str, np.ndarray]) -> BoxRows:
+def _assemble(path: Path | str, texts: dict[str, list[str]], numbers: dict[str, np.ndarray]) -> BoxRows:
     score = numbers.get("score")
     if score is not None and np.isnan(score).any():
         if not np.isnan(score).all():
@@ -254,15 +255,15 @@ def _assemble(path: Path | str, words: dict[str, list[str]], numbers: dict[str, 
                 path, where="column score", expected="a score in every row or in none", found="both kinds of rows"
             )
         score = None
-    names = {name: np.array(values, dtype=np.str_) if values else np.empty(0, "<U1") for name, values in words.items()}
+    names = {name: np.array(values, dtype=np.str_) if values else np.empty(0, "<U1") for name, values in texts.items()}
     counts = {name: numbers[name].astype(np.int64) for name in _COUNTS if name in numbers}
-    references = sorted(set(words.get("reference", ())))
+    references = sorted(set(texts.get("reference", ())))
     if len(references) > 1:
-        expected, found = (
+        expected, actual = (
             "one reference in all rows: the boxes of a file share their coordinates",
             ", ".join(references),
         )
-        raise FileFormatError(path, where="column reference", expected=expected, found=found[:80])
+        raise FileFormatError(path, where="column reference", expected=expected, found=actual[:80])
     return BoxRows(
         frame=names["frame"],
         label=names["label"],
@@ -290,3 +291,135 @@ def _velocity(path: Path | str, numbers: dict[str, np.ndarray]) -> Float[np.ndar
         expected = f"{', '.join(_VELOCITY[: len(columns)])} all with a number or all empty"
         raise FileFormatError(path, where=f"box {torn[0] + 1}", expected=expected, found="both kinds of cells")
     return velocity
+
+
+# Boxes as named columns, rows of numbers and CSV files, and the other way; what is returned are fields of a Boxes.
+
+_PLACES, _SIZES, _VELOCITY_COLUMNS = ("x", "y", "z"), ("l", "w", "h"), ("vx_m_s", "vy_m_s", "vz_m_s")
+_COUNT_COLUMNS = ("track_id", "point_count")
+_NEEDED_COLUMNS = ("label", *_PLACES, *_SIZES, "yaw_rad")
+_KEY = ("sequence", "frame")
+_MOST_RAD = 6.3  # a little over a whole turn: beyond it an angle is more likely one in degrees
+
+Fields = dict[str, Any]
+
+
+@runtime_checkable
+class BoxColumns(Protocol):
+    """Columns by name: a dictionary, or a DataFrame, which is no Mapping."""
+
+    def keys(self) -> Iterable[Any]:
+        """Their names."""
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """One of them."""
+
+
+def columns_of(boxes: Mapping[str, Any]) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """The fields of boxes as columns, named as in our CSV files; those that are None are left out."""
+    table = {"label": boxes["label"]}
+    table |= dict(zip(_PLACES, boxes["centre_m"].T, strict=True)) | dict(zip(_SIZES, boxes["size_m"].T, strict=True))
+    table["yaw_rad"] = boxes["yaw_rad"]
+    table |= {name: boxes[name] for name in ("score", *_COUNT_COLUMNS) if boxes[name] is not None}
+    if boxes["velocity_m_s"] is not None:
+        table |= dict(zip(_VELOCITY_COLUMNS, boxes["velocity_m_s"].T, strict=False))
+    return table
+
+
+def fields_of(table: BoxColumns) -> Fields:
+    """Fields of boxes from a table of named columns: a dictionary, a DataFrame, a structured array's columns.
+
+    Raises:
+        ConfigError: If a column is missing, the boxes are those of several frames, or yaw stands in degrees.
+    """
+    names = [str(name) for name in table.keys()]  # noqa: SIM118 - what has columns need not iterate over them
+    missing = [name for name in _NEEDED_COLUMNS if name not in names]
+    if missing:
+        raise ConfigError(
+            f"Boxes: expected the columns {', '.join(_NEEDED_COLUMNS)}; missing: {', '.join(missing)}"
+            f" of {', '.join(names)}."
+        )
+    _check_one_frame(
+        "Boxes", {name: np.asarray(table[name]) for name in _KEY if name in names}, "select the rows of one frame first"
+    )
+    numbers = {name: np.asarray(table[name], dtype=np.float64) for name in names if name in _numeric(names)}
+    yaw_rad = _radians(numbers["yaw_rad"])
+    axes = [name for name in _VELOCITY_COLUMNS if name in names]
+    fields: Fields = {
+        "centre_m": np.stack([numbers[name] for name in _PLACES], axis=1),
+        "size_m": np.stack([numbers[name] for name in _SIZES], axis=1),
+        "yaw_rad": yaw_rad,
+        "label": [str(word) for word in np.asarray(table["label"])],
+        "score": numbers.get("score"),
+        "velocity_m_s": np.stack([numbers[name] for name in axes], axis=1) if len(axes) > 1 else None,
+    }
+    score = fields["score"]
+    if score is not None and len(score) and np.isnan(score).all():
+        fields["score"] = None
+    return fields | {name: _whole(numbers[name]) for name in _COUNT_COLUMNS if name in names}
+
+
+def _numeric(names: list[str]) -> set[str]:
+    return {*_NEEDED_COLUMNS[1:], "score", *_COUNT_COLUMNS, *_VELOCITY_COLUMNS} & {*names}
+
+
+def _whole(column: Float[np.ndarray, " n"]) -> Shaped[np.ndarray, " n"]:
+    """Whole numbers as pandas leaves them where one is missing: -1 there."""
+    return np.where(np.isnan(column), -1, column).astype(np.int64)
+
+
+def _radians(yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    if np.abs(yaw).max(initial=0.0) > _MOST_RAD:
+        raise ConfigError(
+            f"Boxes: expected yaw in radians, got up to {np.abs(yaw).max():g}; np.radians(...) turns degrees into them"
+        )
+    return yaw
+
+
+def rows_of(boxes: Shaped[np.ndarray, "n columns"]) -> Fields:
+    """Places, sizes and headings from rows x, y, z, length, width, height, yaw.
+
+    Raises:
+        ConfigError: If rows have another length, or yaw stands in degrees.
+    """
+    rows = np.asarray(boxes, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 7:
+        raise ConfigError(f"Boxes: expected shape (n, 7): x, y, z, length, width, height, yaw (rad); got {rows.shape}")
+    return {"centre_m": rows[:, :3], "size_m": rows[:, 3:6], "yaw_rad": _radians(rows[:, 6])}
+
+
+def read_fields(path: Path | str, *, frame: str | None, sequence: str | None) -> Fields:
+    """Fields of the boxes of one frame of a CSV file.
+
+    Raises:
+        ConfigError: If there are several frames and none is named, or none of that name.
+        FileFormatError: If the file is no such file.
+    """
+    rows = read_boxes_csv(path)
+    keep = np.ones(len(rows), dtype=bool)
+    for word, name, column in (("sequence", sequence, rows.sequence), ("frame", frame, rows.frame)):
+        if name is None:
+            continue
+        keep &= False if column is None else column == name
+        if not keep.any():
+            choices = [] if column is None else [str(name) for name in np.unique(column)[:8]]
+            raise ConfigError(f"{path}: no boxes of the {word} {name!r}; there are {', '.join(choices) or 'none'}")
+    keys = {"frame": rows.frame[keep]} | ({} if rows.sequence is None else {"sequence": rows.sequence[keep]})
+    _check_one_frame(str(path), keys, "choose with frame= and sequence=")
+    names = ("centre_m", "size_m", "yaw_rad", "label", "score", *_COUNT_COLUMNS, "velocity_m_s")
+    return {name: None if getattr(rows, name) is None else getattr(rows, name)[keep] for name in names}
+
+
+def _check_one_frame(where: str, keys: Mapping[str, Shaped[np.ndarray, " n"]], mend: str) -> None:
+    if not keys:
+        return
+    frames = set(zip(*(map(str, column) for column in keys.values()), strict=True))
+    if len(frames) > 1:
+        raise ConfigError(f"{where}: expected the boxes of one frame, got {len(frames)}; {mend}")
+
+
+def write_fields(path: Path | str, boxes: Mapping[str, Any], *, frame: str, sequence: str) -> None:
+    """Write boxes as those of one frame."""
+    count = len(boxes["yaw_rad"])
+    names = {"frame": np.full(count, frame), "sequence": np.full(count, sequence) if sequence else None}
+    write_boxes_csv(path, BoxRows(**{**boxes, **names}))

@@ -80,19 +80,19 @@ def read_clock_log(path: Path | str) -> ClockLog:
         if len(line) > _LONGEST_LINE:
             raise _wrong(path, number, f"at most {_LONGEST_LINE} characters", f"{len(line)}")
         text = line.decode("utf-8", "replace")
-        found = _OFFSET.search(text) or _SUMMARY.search(text)
-        if found is None:
+        match = _OFFSET.search(text) or _SUMMARY.search(text)
+        if match is None:
             others += 1
             continue
-        words = found.groupdict()
-        kinds.add((words["program"], "rms" in words))
-        rows.append(_row(path, number, words))
+        fields = match.groupdict()
+        kinds.add((fields["program"], "rms" in fields))
+        rows.append(_row(path, number, fields))
     if len(kinds) != 1:
-        said = (
+        quoted = (
             "none" if not kinds else " and ".join(sorted(f"{p} ({'summaries' if s else 'offsets'})" for p, s in kinds))
         )
         raise FileFormatError(
-            path, where="the file", expected="offsets of one program, ptp4l or phc2sys, in one form", found=said,
+            path, where="the file", expected="offsets of one program, ptp4l or phc2sys, in one form", found=quoted,
             mend="Give each program a file of its own.",
         )  # fmt: skip
     ((program, summary),) = kinds
@@ -109,14 +109,14 @@ def read_clock_log(path: Path | str) -> ClockLog:
     )
 
 
-def _row(path: Path, number: int, words: dict[str, str]) -> tuple[int, int, float, float, bool]:
-    time_ns = int(words["s"]) * 1_000_000_000 + int(words["fraction"].ljust(9, "0"))
-    offset = int(words["rms"] if "rms" in words else words["offset"])
+def _row(path: Path, number: int, fields: dict[str, str]) -> tuple[int, int, float, float, bool]:
+    time_ns = int(fields["s"]) * 1_000_000_000 + int(fields["fraction"].ljust(9, "0"))
+    offset = int(fields["rms"] if "rms" in fields else fields["offset"])
     if max(time_ns, abs(offset)) > _LIMIT_NS:
         raise _wrong(path, number, "an offset and a time within 9e18 ns", f"{max(time_ns, abs(offset))}")
-    delay, freq = (float(words[key]) if words.get(key) else float("nan") for key in ("delay", "freq"))
-    return time_ns, offset, delay, freq, words.get("state", "2") in "23"
+    delay, freq = (float(fields[key]) if fields.get(key) else float("nan") for key in ("delay", "freq"))
+    return time_ns, offset, delay, freq, fields.get("state", "2") in "23"
 
 
-def _wrong(path: Path, number: int, expected: str, found: str) -> FileFormatError:
-    return FileFormatError(path, where=f"line {number}", expected=expected, found=found)
+def _wrong(path: Path, number: int, expected: str, actual: str) -> FileFormatError:
+    return FileFormatError(path, where=f"line {number}", expected=expected, found=actual)

@@ -21,10 +21,10 @@ def camera_words(camera: str, reference: str) -> str:
     return f"camera {camera}" if camera else f"a camera's axes at {reference}"
 
 
-def write_coordinates(folder: Path, words: str) -> None:
+def write_coordinates(folder: Path, text: str) -> None:
     """Name the coordinates of the boxes in a folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / NAME, words + "\n")
+    write_text(folder / NAME, text + "\n")
 
 
 def read_coordinates(folder: Path) -> str:
@@ -38,9 +38,9 @@ def read_coordinates(folder: Path) -> str:
         return ""
     data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
-        words = data.decode().strip()
+        text = data.decode().strip()
     except UnicodeDecodeError:
-        words = ""
-    if not words or not words.isprintable():
+        text = ""
+    if not text or not text.isprintable():
         raise FileFormatError(path, where="the file", expected="one line of text", found=repr(data[:40]))
-    return words
+    return text

@@ -46,11 +46,11 @@ def numbers(value: Any, count: int, path: Path | str, where: str, name: str) -> 
     Raises:
         FileFormatError: If the value is anything else.
     """
-    found = [finite(each) for each in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
-    known = [each for each in found if each is not None]
-    if len(found) != count or len(known) != count:
+    values = [finite(number) for number in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
+    finite_values = [number for number in values if number is not None]
+    if len(values) != count or len(finite_values) != count:
         raise FileFormatError(path, where=where, expected=f"{name} of {count} numbers", found=repr(value)[:80])
-    return known
+    return finite_values
 
 
 def xyz(value: Any, path: Path | str, where: str, name: str) -> list[float]:
@@ -59,8 +59,8 @@ def xyz(value: Any, path: Path | str, where: str, name: str) -> list[float]:
     Raises:
         FileFormatError: If it is anything else.
     """
-    given = [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else None
-    return numbers(given, 3, path, where, f"{name} with x, y, z")
+    values = [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else None
+    return numbers(values, 3, path, where, f"{name} with x, y, z")
 
 
 def checked(
@@ -73,7 +73,7 @@ def checked(
     """
     if not all(_LEAST_M <= size <= _LARGEST_M for size in size_m):
         raise FileFormatError(path, where=where, expected="positive sizes in metres", found=repr(list(size_m)))
-    if not all(abs(place) <= _FARTHEST_M for place in centre_m) or not abs(yaw_rad) <= _LARGEST_M:
+    if not all(abs(coordinate) <= _FARTHEST_M for coordinate in centre_m) or not abs(yaw_rad) <= _LARGEST_M:
         raise FileFormatError(path, where=where, expected="a place and a yaw", found=repr([*centre_m, yaw_rad]))
     x, y, z = centre_m
     length, width, height = size_m
@@ -103,6 +103,6 @@ def attributes_of(value: Any) -> dict[str, Value]:
     """Those of an object's entries that are texts, numbers or flags; all others are left out."""
     if not isinstance(value, Mapping):
         return {}
-    plain = {str(name): each for name, each in value.items() if isinstance(each, str | bool)}
-    counted = {str(name): number for name, each in value.items() if (number := finite(each)) is not None}
+    plain = {str(name): entry for name, entry in value.items() if isinstance(entry, str | bool)}
+    counted = {str(name): number for name, entry in value.items() if (number := finite(entry)) is not None}
     return plain | counted

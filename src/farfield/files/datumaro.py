@@ -34,20 +34,20 @@ def parse_datumaro(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     if not isinstance(items, list):
         raise FileFormatError(path, where="the root", expected="an object with items", found=repr(content)[:80])
     names = class_names(content, path)
-    found: list[CuboidEntry] = []
+    cuboids: list[CuboidEntry] = []
     for number, item in enumerate(items):
         entries = item.get("annotations", []) if isinstance(item, dict) else None
         if not isinstance(entries, list):
             raise FileFormatError(path, where=f"item {number}", expected="annotations", found=repr(item)[:80])
         frame = frame_name(item, path, f"item {number}")
-        for place, entry in enumerate(entries):
-            where = f"item {number}, annotation {place}"
+        for index, entry in enumerate(entries):
+            where = f"item {number}, annotation {index}"
             if not isinstance(entry, dict):
                 raise FileFormatError(path, where=where, expected="an object", found=repr(entry)[:80])
             if entry.get("type") == KIND:
                 cuboid = _cuboid(entry, frame, names, path, where)
-                found.append(CuboidEntry(("items", number, "annotations", place), cuboid))
-    return tuple(found)
+                cuboids.append(CuboidEntry(("items", number, "annotations", index), cuboid))
+    return tuple(cuboids)
 
 
 def class_names(content: Mapping[str, Any], path: Path | str) -> list[str]:
@@ -59,9 +59,9 @@ def class_names(content: Mapping[str, Any], path: Path | str) -> list[str]:
     categories = content.get("categories")
     label = categories.get("label") if isinstance(categories, dict) else None
     labels = label.get("labels") if isinstance(label, dict) else None
-    if not isinstance(labels, list) or not all(isinstance(each, dict) for each in labels):
+    if not isinstance(labels, list) or not all(isinstance(entry, dict) for entry in labels):
         raise FileFormatError(path, where="categories", expected="label with labels", found=repr(categories)[:80])
-    return [word(each.get("name"), path, f"label {number}", "name") for number, each in enumerate(labels)]
+    return [word(entry.get("name"), path, f"label {number}", "name") for number, entry in enumerate(labels)]
 
 
 def frame_name(item: Mapping[str, Any], path: Path | str, where: str) -> str:
@@ -88,11 +88,14 @@ def _cuboid(entry: Mapping[str, Any], frame: str, names: Sequence[str], path: Pa
 def values(cuboid: Cuboid, names: Sequence[str]) -> Mapping[tuple[str | int, ...], Any]:
     """What an annotation says of a cuboid; its class has to be one of the file's."""
     x, y, z, length, width, height, yaw = cuboid.box
-    known: dict[tuple[str | int, ...], Any] = {("rotation", 2): wrapped(yaw), ("label_id",): names.index(cuboid.label)}
-    known |= {("position", axis): place for axis, place in enumerate((x, y, z))}
-    known |= {("scale", axis): size for axis, size in enumerate((length, width, height))}
-    known |= {("attributes", name): each for name, each in cuboid.attributes.items()}
-    return known | ({("attributes", "track_id"): _track(cuboid.track)} if cuboid.track else {})
+    changes: dict[tuple[str | int, ...], Any] = {
+        ("rotation", 2): wrapped(yaw),
+        ("label_id",): names.index(cuboid.label),
+    }
+    changes |= {("position", axis): coordinate for axis, coordinate in enumerate((x, y, z))}
+    changes |= {("scale", axis): size for axis, size in enumerate((length, width, height))}
+    changes |= {("attributes", name): attribute for name, attribute in cuboid.attributes.items()}
+    return changes | ({("attributes", "track_id"): _track(cuboid.track)} if cuboid.track else {})
 
 
 def entry_of(cuboid: Cuboid, names: Sequence[str], number: int = 0) -> dict[str, Any]:
@@ -130,12 +133,12 @@ def with_new(text: str, cuboid: Cuboid) -> str:
     if cuboid.frame not in frames:
         text = append(text, ("items",), _item(cuboid.frame, len(frames), []))
         frames.append(cuboid.frame)
-    place = frames.index(cuboid.frame)
-    held = content["items"][place].get("annotations") if place < len(content["items"]) else []
+    item = frames.index(cuboid.frame)
+    held = content["items"][item].get("annotations") if item < len(content["items"]) else []
     if held is None:
-        text = append(text, ("items", place), [], key="annotations")
+        text = append(text, ("items", item), [], key="annotations")
     number = 1 + max((entry.get("id", 0) for entry in held or [] if isinstance(entry.get("id", 0), int)), default=-1)
-    return append(text, ("items", place, "annotations"), entry_of(cuboid, class_names(content, ""), number))
+    return append(text, ("items", item, "annotations"), entry_of(cuboid, class_names(content, ""), number))
 
 
 def _item(frame: str, number: int, annotations: list[Any]) -> dict[str, Any]:

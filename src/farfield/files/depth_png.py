@@ -74,10 +74,10 @@ def write_depth(
         raise ConfigError(f"{path}: expected a scale of 1 to {_LARGEST} steps a metre, got {scale}")
     if depth_m.ndim != 2 or depth_m.size == 0:
         raise ConfigError(f"{path}: expected a depth map of shape (height, width), got {depth_m.shape}")
-    known = np.isfinite(depth_m) & (depth_m > 0)
-    steps = np.rint(np.where(known, depth_m, 0).astype(np.float64) * scale)
+    valid = np.isfinite(depth_m) & (depth_m > 0)
+    steps = np.rint(np.where(valid, depth_m, 0).astype(np.float64) * scale)
     beyond = steps > _LARGEST
-    values = np.where(known & ~beyond, np.maximum(steps, 1), 0).astype(np.uint16)  # 0 would say that nothing is there
+    values = np.where(valid & ~beyond, np.maximum(steps, 1), 0).astype(np.uint16)  # 0 would say that nothing is there
     chunks = PngInfo()
     for name, text in {_SCALE: str(scale), "depth_unit": "metre", "none": "0", **(notes or {})}.items():
         chunks.add_text(name, text)
@@ -105,8 +105,8 @@ def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> DepthImage:
             values = np.array(image)
             texts = {str(name): str(text) for name, text in image.info.items() if isinstance(text, str)}
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        found = f"{str(error)[:200]} ({len(data.getbuffer())} bytes)"
-        raise FileFormatError(path, where="the image", expected="a whole 16-bit grey PNG", found=found) from error
+        actual = f"{str(error)[:200]} ({len(data.getbuffer())} bytes)"
+        raise FileFormatError(path, where="the image", expected="a whole 16-bit grey PNG", found=actual) from error
     scale = _scale_of(path, texts.pop(_SCALE, str(KITTI_SCALE)))
     depth = values.astype(np.float32) / np.float32(scale)
     depth[values == 0] = np.nan
@@ -116,12 +116,12 @@ def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> DepthImage:
 def _check(path: Path | str, image: Image.Image, max_pixels: int) -> None:
     """Refuse what should not be decoded; Pillow has read the header only."""
     if image.width * image.height > max_pixels:
-        expected, found = f"at most {max_pixels} pixels", f"{image.width} x {image.height}"
-        raise FileFormatError(path, where="the image header", expected=expected, found=found)
+        expected, actual = f"at most {max_pixels} pixels", f"{image.width} x {image.height}"
+        raise FileFormatError(path, where="the image header", expected=expected, found=actual)
     if image.mode != "I;16":
-        expected, found = "16-bit grey values (mode I;16)", f"mode {image.mode}"
+        expected, actual = "16-bit grey values (mode I;16)", f"mode {image.mode}"
         mend = "A depth map that was saved with 8 bits has lost its depths: write it anew."
-        raise FileFormatError(path, where="the image header", expected=expected, found=found, mend=mend)
+        raise FileFormatError(path, where="the image header", expected=expected, found=actual, mend=mend)
 
 
 def _scale_of(path: Path | str, text: str) -> int:

@@ -18,8 +18,8 @@ def read_description(path: Path) -> dict[str, str]:
     try:
         text = read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"byte 0x{error.object[error.start]:02x}"
-        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=found) from None
+        actual = f"byte 0x{error.object[error.start]:02x}"
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=actual) from None
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     conditions = parse_description(lines[0]) if lines else None
     if conditions is None:

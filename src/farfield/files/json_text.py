@@ -47,12 +47,12 @@ def _refuse(word: str) -> NoReturn:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"the key {twice[:40]!r} twice in one object")
-    return found
+    return entries
 
 
 def finite(value: Any, *, limit: float = 1e9) -> float | None:
@@ -70,10 +70,10 @@ def span(text: str, steps: Steps) -> tuple[int, int] | None:
     """Where a value stands in a text of JSON: its start and end; None where there is none."""
     at = _skip(text, 1 if text.startswith("\ufeff") else 0)
     for step in steps:
-        found = next((start for name, start, _ in _children(text, at) if name == step), None)
-        if found is None:
+        start_at = next((start for name, start, _ in _children(text, at) if name == step), None)
+        if start_at is None:
             return None
-        at = found
+        at = start_at
     return at, _DECODER.raw_decode(text, at)[1]
 
 
@@ -83,10 +83,10 @@ def set_value(text: str, steps: Steps, value: Any) -> str:
     Raises:
         KeyError: If the object or list that is to hold it is not there.
     """
-    found = span(text, steps)
-    if found is None:
+    bounds = span(text, steps)
+    if bounds is None:
         return append(text, steps[:-1], value, key=str(steps[-1]))
-    start, end = found
+    start, end = bounds
     old = _DECODER.raw_decode(text, start)[0]
     if old == value and type(old) is type(value):
         return text
@@ -95,18 +95,18 @@ def set_value(text: str, steps: Steps, value: Any) -> str:
 
 def remove(text: str, steps: Steps) -> str:
     """The text without a value, and without its key and one comma. Nothing happens where there is none."""
-    found = span(text, steps)
-    if found is None:
+    bounds = span(text, steps)
+    if bounds is None:
         return text
     outer = span(text, steps[:-1])
     assert outer is not None
     children = list(_children(text, outer[0]))
-    place = next(number for number, child in enumerate(children) if child[0] == steps[-1])
+    number = next(number for number, child in enumerate(children) if child[0] == steps[-1])
     ends = [_DECODER.raw_decode(text, start)[1] for _, start, _ in children]
-    if place + 1 < len(children):
-        return text[: children[place][2]] + text[children[place + 1][2] :]
-    begin = ends[place - 1] if place else children[place][2]
-    return text[:begin] + text[ends[place] :]
+    if number + 1 < len(children):
+        return text[: children[number][2]] + text[children[number + 1][2] :]
+    begin = ends[number - 1] if number else children[number][2]
+    return text[:begin] + text[ends[number] :]
 
 
 def append(text: str, steps: Steps, value: Any, *, key: str | None = None) -> str:
@@ -120,33 +120,33 @@ def append(text: str, steps: Steps, value: Any, *, key: str | None = None) -> st
     outer = span(text, steps)
     if outer is None:
         raise KeyError("/".join(map(str, steps)))
-    made = ("" if key is None else f"{json.dumps(key)}: ") + json.dumps(value)
+    entry = ("" if key is None else f"{json.dumps(key)}: ") + json.dumps(value)
     children = list(_children(text, outer[0]))
     if not children:
-        return text[: outer[0] + 1] + made + text[outer[1] - 1 :]
+        return text[: outer[0] + 1] + entry + text[outer[1] - 1 :]
     before = text[outer[0] + 1 : children[0][2]]  # blanks between the bracket and the first
     end = _DECODER.raw_decode(text, children[-1][1])[1]
     gap = f",{before}" if before else ", "
-    return text[:end] + gap + made + text[end:]
+    return text[:end] + gap + entry + text[end:]
 
 
 def _children(text: str, at: int) -> Iterator[tuple[str | int, int, int]]:
     """Name, start of the value and start of the entry of each child of an object or a list."""
-    opening, place = text[at : at + 1], 0
+    opening, number = text[at : at + 1], 0
     if opening not in ("{", "["):
         return
     at = _skip(text, at + 1)
     while text[at] not in "]}":
-        entry, name = at, place
+        entry, name = at, number
         if opening == "{":
             name, at = _DECODER.raw_decode(text, at)
             at = _skip(text, _skip(text, at) + 1)  # the colon
         yield name, at, entry
         at = _skip(text, _DECODER.raw_decode(text, at)[1])
         at = _skip(text, at + 1) if text[at] == "," else at
-        place += 1
+        number += 1
 
 
 def _skip(text: str, at: int) -> int:
-    found = _BLANK.match(text, at)
-    return at if found is None else found.end()
+    match = _BLANK.match(text, at)
+    return at if match is None else match.end()

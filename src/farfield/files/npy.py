@@ -48,8 +48,8 @@ def read_npy(path: Path | str, *, max_bytes: int = MAX_BYTES) -> Shaped[np.ndarr
         raise FileFormatError(path, where=f"byte {start}", expected=expected[:200], found=f"{len(data) - start} bytes")
     if dtype.kind == "b" and any(set(data[start:]) - {0, 1}):
         raise FileFormatError(path, where=f"byte {start}", expected="booleans", found="bytes above 1")
-    flat: np.ndarray = np.frombuffer(data, dtype=dtype, offset=start)
-    return flat.reshape(shape, order="F" if fortran else "C").copy(order="K")
+    values: np.ndarray = np.frombuffer(data, dtype=dtype, offset=start)
+    return values.reshape(shape, order="F" if fortran else "C").copy(order="K")
 
 
 def write_npy(path: Path | str, array: Shaped[np.ndarray, "..."]) -> None:

@@ -64,8 +64,8 @@ def read_results_in(path: Path | str) -> tuple[dict[str, NuScenesBoxes], str]:
         raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
     results = tree.get("results") if isinstance(tree, dict) else None
     if not isinstance(results, dict) or not all(isinstance(boxes, list) for boxes in results.values()):
-        found = "no object 'results'" if not isinstance(results, dict) else "a sample that is no list"
-        raise FileFormatError(path, where="the file", expected="results: a list of boxes a sample", found=found)
+        actual = "no object 'results'" if not isinstance(results, dict) else "a sample that is no list"
+        raise FileFormatError(path, where="the file", expected="results: a list of boxes a sample", found=actual)
     meta = tree.get("meta")
     named = meta.get("reference") if isinstance(meta, dict) else None
     return {token: _sample(path, token, boxes) for token, boxes in results.items()}, str(named or "")
@@ -77,10 +77,10 @@ def _sample(path: Path | str, token: str, boxes: list[Any]) -> NuScenesBoxes:
         try:
             rows.append(_row(box))
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            found = plain(error)
+            actual = plain(error)
             expected = "translation (3), size (3), rotation (4), a name and a score, as finite numbers"
             raise FileFormatError(
-                path, where=f"sample {token}, box {number}", expected=expected, found=found
+                path, where=f"sample {token}, box {number}", expected=expected, found=actual
             ) from error
     kinds = {track is None for _, _, track in rows}
     if len(kinds) > 1:

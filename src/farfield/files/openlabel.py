@@ -38,7 +38,7 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     if not isinstance(root, dict):
         raise FileFormatError(path, where="the root", expected="an object 'openlabel'", found=repr(content)[:80])
     types = _mapping(root.get("objects", {}), path, "objects")
-    found: list[CuboidEntry] = []
+    cuboids: list[CuboidEntry] = []
     for number, frame in _mapping(root.get("frames", {}), path, "frames").items():
         frame = _mapping(frame, path, f"frame {number}")
         name = frame_name(number, frame, path)
@@ -48,17 +48,17 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
             inner = _mapping(_mapping(entry, path, where).get("object_data", {}), path, where).get("cuboid", [])
             if not isinstance(inner, list):
                 raise FileFormatError(path, where=where, expected="a list of cuboids", found=repr(inner)[:80])
-            for place, cuboid in enumerate(inner):
-                steps = (_ROOT, "frames", number, "objects", uid, "object_data", "cuboid", place)
-                found.append(CuboidEntry(steps, _cuboid(_mapping(cuboid, path, where), name, kind, uid, path, where)))
-    return tuple(found)
+            for index, cuboid in enumerate(inner):
+                steps = (_ROOT, "frames", number, "objects", uid, "object_data", "cuboid", index)
+                cuboids.append(CuboidEntry(steps, _cuboid(_mapping(cuboid, path, where), name, kind, uid, path, where)))
+    return tuple(cuboids)
 
 
 def frame_name(number: str, frame: Mapping[str, Any], path: Path | str) -> str:
     """A frame's name: ours where the file has it, else its number."""
     properties = frame.get("frame_properties")
-    known = properties.get("frame_id") if isinstance(properties, dict) else None
-    return number if known is None else word(known, path, f"frame {number}", "frame_id")
+    frame_id = properties.get("frame_id") if isinstance(properties, dict) else None
+    return number if frame_id is None else word(frame_id, path, f"frame {number}", "frame_id")
 
 
 def _cuboid(entry: Mapping[str, Any], frame: str, label: str, uid: str, path: Path | str, where: str) -> Cuboid:
@@ -91,25 +91,25 @@ def _attributes(entry: Mapping[str, Any]) -> dict[str, str | float | bool]:
     groups = entry.get("attributes")
     lists = groups.values() if isinstance(groups, dict) else []
     pairs = {
-        str(each["name"]): each.get("val")
+        str(attribute["name"]): attribute.get("val")
         for group in lists
         if isinstance(group, list)
-        for each in group
-        if isinstance(each, dict) and isinstance(each.get("name"), str)
+        for attribute in group
+        if isinstance(attribute, dict) and isinstance(attribute.get("name"), str)
     }
     return attributes_of(pairs)
 
 
 def values(cuboid: Cuboid) -> Mapping[tuple[str | int, ...], Any]:
     """What an entry of 10 numbers says of a cuboid."""
-    return {("val", place): number for place, number in enumerate(_val(cuboid))}
+    return {("val", index): number for index, number in enumerate(_val(cuboid))}
 
 
 def values_of_nine(cuboid: Cuboid) -> Mapping[tuple[str | int, ...], Any]:
     """What an entry of 9 numbers says of a cuboid; its other two angles stay."""
     x, y, z, length, width, height, yaw = cuboid.box
     row = {0: x, 1: y, 2: z, 5: yaw, 6: length, 7: width, 8: height}
-    return {("val", place): number for place, number in row.items()}
+    return {("val", index): number for index, number in row.items()}
 
 
 def _val(cuboid: Cuboid) -> list[float]:
@@ -122,8 +122,12 @@ def entry_of(cuboid: Cuboid) -> dict[str, Any]:
     entry: dict[str, Any] = {"name": "box", "val": _val(cuboid), "coordinate_system": SYSTEM}
     kinds = {"text": str, "boolean": bool, "num": float}
     groups = {
-        kind: [{"name": name, "val": each} for name, each in cuboid.attributes.items() if type(each) is known]
-        for kind, known in kinds.items()
+        kind: [
+            {"name": name, "val": attribute}
+            for name, attribute in cuboid.attributes.items()
+            if type(attribute) is python_type
+        ]
+        for kind, python_type in kinds.items()
     }
     held = {kind: group for kind, group in groups.items() if group}
     return entry | ({"attributes": held} if held else {})
@@ -174,8 +178,8 @@ def _whole(number: str) -> int:
 
 
 def _free(root: Mapping[str, Any]) -> str:
-    known = root.get("objects", {})
-    return next(str(number) for number in range(len(known) + 1) if str(number) not in known)
+    objects = root.get("objects", {})
+    return next(str(number) for number in range(len(objects) + 1) if str(number) not in objects)
 
 
 def format_openlabel(
@@ -191,10 +195,10 @@ def format_openlabel(
     """
     numbered = {name: str(number) for number, name in enumerate(frames)}
     properties: list[dict[str, Any]] = [{"frame_id": name} for name in frames]
-    for known, time_ns in zip(properties, times_ns, strict=False):
+    for frame_properties, time_ns in zip(properties, times_ns, strict=False):
         if time_ns is not None:
-            known["timestamp"] = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
-    rows = [{"frame_properties": known, "objects": {}} for known in properties]
+            frame_properties["timestamp"] = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+    rows = [{"frame_properties": frame_properties, "objects": {}} for frame_properties in properties]
     objects: dict[str, Any] = {}
     by_number: dict[str, Any] = dict(zip(map(str, range(len(frames))), rows, strict=True))
     named = {cuboid.track for cuboid in cuboids}

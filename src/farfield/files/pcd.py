@@ -5,15 +5,171 @@ that the file really has.
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Int, UInt8
 
 from farfield.errors import FileFormatError
-from farfield.files import lzf, text_table
+from farfield.files import ascii_table
+from farfield.files.ascii_table import parse_table
 from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
-from farfield.files.pcd_header import ENCODINGS, PcdHeader, format_header, parse_header
-from farfield.files.table import parse_table
+
+# The header of PCD files: parsed, checked, written (Point Cloud Library, "The PCD file format", v0.5 to v0.7).
+
+KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+ENCODINGS = ("ascii", "binary", "binary_compressed")
+_TYPE_CODES = {"I": "i", "U": "u", "F": "f"}
+_SIZES = {"I": (1, 2, 4, 8), "U": (1, 2, 4, 8), "F": (4, 8)}
+_MAX_HEADER_BYTES = 1 << 16
+_MAX_COUNT = 1 << 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class PcdHeader:
+    """What a header says, checked for consistency in itself.
+
+    Args:
+        names: Field names; ``_`` is padding.
+        dtypes: Scalar dtype of each field, little-endian.
+        counts: Elements a point of each field.
+        points: Number of points.
+        encoding: One of ``ENCODINGS``.
+        body: Byte at which the points begin.
+        line: Line at which they begin, counted from 1.
+    """
+
+    names: tuple[str, ...]
+    dtypes: tuple[np.dtype, ...]
+    counts: tuple[int, ...]
+    points: int
+    encoding: str
+    body: int
+    line: int
+
+    @property
+    def field_bytes(self) -> tuple[int, ...]:
+        """Bytes that each field takes in one point."""
+        return tuple(dtype.itemsize * count for dtype, count in zip(self.dtypes, self.counts, strict=True))
+
+    @property
+    def point_bytes(self) -> int:
+        """Bytes of one point, padding included."""
+        return sum(self.field_bytes)
+
+
+def parse_header(data: bytes, *, path: Path | str) -> PcdHeader:
+    """Parse and check the header of a PCD file.
+
+    Args:
+        data: The file's bytes.
+        path: The file, for messages.
+
+    Raises:
+        FileFormatError: If a line is missing, repeated, unknown or contradicts another.
+    """
+    entries, body = _entries(data, path=path)
+    lines = {key: line for key, (line, _) in entries.items()}
+    values = {key: value for key, (_, value) in entries.items()}
+    fault = partial(_fault, path, lines, values)
+    names = values.get("FIELDS", [])
+    if not names or len({n for n in names if n != "_"}) != len([n for n in names if n != "_"]):
+        raise fault("FIELDS", "names that differ from one another")
+    sizes = values.get("SIZE", ["4"] * len(names))  # v0.5 has neither SIZE nor TYPE: all are float32
+    types = values.get("TYPE", ["F"] * len(names))
+    counts = values.get("COUNT", ["1"] * len(names))
+    for key, column in (("SIZE", sizes), ("TYPE", types), ("COUNT", counts)):
+        if len(column) != len(names):
+            raise fault(key, f"{len(names)} values, one a field")
+    for size, kind in zip(sizes, types, strict=True):
+        if kind not in _TYPE_CODES or _natural(size) not in _SIZES[kind]:
+            raise fault("TYPE" if kind not in _TYPE_CODES else "SIZE", "I or U of 1, 2, 4, 8 bytes or F of 4, 8")
+    held = [name != "_" or count != "0" for name, count in zip(names, counts, strict=True)]  # padding of no bytes
+    names, sizes, types, counts = (
+        [value for value, keep in zip(column, held, strict=True) if keep] for column in (names, sizes, types, counts)
+    )
+    if not all(1 <= (_natural(count) or 0) <= _MAX_COUNT for count in counts):
+        raise fault("COUNT", f"numbers from 1 to {_MAX_COUNT}, or 0 for padding")
+    if values["DATA"] not in ([encoding] for encoding in ENCODINGS):
+        raise fault("DATA", " or ".join(ENCODINGS))
+    return PcdHeader(
+        names=tuple(names),
+        dtypes=tuple(np.dtype(f"<{_TYPE_CODES[kind]}{size}") for kind, size in zip(types, sizes, strict=True)),
+        counts=tuple(int(count) for count in counts),
+        points=_points(values, lines, path=path),
+        encoding=values["DATA"][0],
+        body=body,
+        line=lines["DATA"] + 1,
+    )
+
+
+def _fault(
+    path: Path | str, lines: Mapping[str, int], values: Mapping[str, list[str]], key: str, expected: str
+) -> FileFormatError:
+    where, actual = f"line {lines.get(key, lines['DATA'])}", " ".join(values.get(key, ["no such line"]))[:80]
+    return FileFormatError(path, where=where, expected=f"{key} to be {expected}", found=actual)
+
+
+def _entries(data: bytes, *, path: Path | str) -> tuple[dict[str, tuple[int, list[str]]], int]:
+    """Split the header into keys with their line number and values; returns also where the body begins."""
+    entries: dict[str, tuple[int, list[str]]] = {}
+    start, line = 0, 0
+    while "DATA" not in entries:
+        end, line = data.find(b"\n", start, _MAX_HEADER_BYTES), line + 1
+        if end < 0:
+            actual = "the end of the file" if len(data) < _MAX_HEADER_BYTES else f"{_MAX_HEADER_BYTES} bytes without it"
+            raise FileFormatError(path, where=f"line {line}", expected="a header that ends with DATA", found=actual)
+        text = data[start:end].strip()
+        words = text.decode("ascii", errors="replace").split()
+        start = end + 1
+        if not words or words[0].startswith("#"):
+            continue
+        key = "FIELDS" if words[0] == "COLUMNS" else words[0]  # the older name
+        if key not in KEYS or key in entries or not text.isascii():
+            expected = f"one of {', '.join(key for key in KEYS if key not in entries)}"
+            raise FileFormatError(path, where=f"line {line}", expected=expected, found=repr(text[:80]))
+        entries[key] = (line, words[1:])
+    return entries, start
+
+
+def _points(values: Mapping[str, list[str]], lines: Mapping[str, int], *, path: Path | str) -> int:
+    sides = {}
+    for key in ("WIDTH", "HEIGHT", "POINTS"):
+        value = values.get(key)
+        sides[key] = _natural(value[0]) if value is not None and len(value) == 1 else None
+        if value is not None and sides[key] is None:
+            where, actual = f"line {lines[key]}", " ".join(value)[:80]
+            raise FileFormatError(path, where=where, expected=f"{key} to be one whole number", found=actual)
+    width, height, points = sides["WIDTH"], sides["HEIGHT"], sides["POINTS"]
+    grid = None if width is None else width * (1 if height is None else height)
+    total = grid if points is None else points
+    if total is None or (grid is not None and grid != total):
+        expected = "POINTS to be WIDTH x HEIGHT" if total is not None else "WIDTH or POINTS"
+        actual = f"{points} points for {width} x {height}" if total is not None else "neither"
+        raise FileFormatError(path, where=f"line {lines.get('POINTS', lines['DATA'])}", expected=expected, found=actual)
+    return total
+
+
+def _natural(text: str) -> int | None:
+    """A whole number of at most 18 ASCII digits, or None."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else None
+
+
+def format_header(fields: Mapping[str, np.ndarray], points: int, encoding: str, height: int = 1) -> bytes:
+    """Write a v0.7 header as PCL does for fields of shape (n,) or (n, count), all of a kind that PCD knows."""
+    columns = {
+        "FIELDS": list(fields),
+        "SIZE": [str(array.dtype.itemsize) for array in fields.values()],
+        "TYPE": [array.dtype.kind.upper() for array in fields.values()],
+        "COUNT": [str(array.shape[1] if array.ndim == 2 else 1) for array in fields.values()],
+    }
+    rows = [f"{key} {' '.join(column)}" for key, column in columns.items()]
+    shape = [f"WIDTH {points // height}", f"HEIGHT {height}", "VIEWPOINT 0 0 0 1 0 0 0"]
+    shape += [f"POINTS {points}", f"DATA {encoding}"]
+    return "\n".join(["# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", *rows, *shape, ""]).encode("ascii")
+
 
 _PADDING_BYTES = 1 << 16  # the Point Cloud Library may leave zeros up to the end of a memory page
 _KINDS = frozenset(["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"])
@@ -49,9 +205,9 @@ def _read_ascii(data: bytes, header: PcdHeader, path: Path | str) -> list[np.nda
     body = body.rstrip()
     lines = body.count(b"\n") + 1 if body else 0
     if lines != header.points:
-        where, found = f"line {header.line}", f"{lines} lines of points"
+        where, actual = f"line {header.line}", f"{lines} lines of points"
         mend = "The file is truncated or spliced."
-        raise FileFormatError(path, where=where, expected=f"{header.points} points", found=found, mend=mend)
+        raise FileFormatError(path, where=where, expected=f"{header.points} points", found=actual, mend=mend)
     if lines == 0:
         return _nothing(header)
     columns, first = sum(header.counts), len(body.partition(b"\n")[0].split())
@@ -86,18 +242,18 @@ def _read_compressed(data: bytes, header: PcdHeader, path: Path | str, max_bytes
         return _nothing(header)
     start = header.body + 8
     if len(data) < start:
-        where, found = f"byte {header.body}", f"{len(data) - header.body} bytes"
-        raise FileFormatError(path, where=where, expected="8 bytes with both sizes", found=found)
+        where, actual = f"byte {header.body}", f"{len(data) - header.body} bytes"
+        raise FileFormatError(path, where=where, expected="8 bytes with both sizes", found=actual)
     packed, size = (int(number) for number in np.frombuffer(data, dtype="<u4", count=2, offset=header.body))
     _check_size(data, start, packed, path, "the compressed size")
     dense = [0 if name == "_" else width for name, width in zip(header.names, header.field_bytes, strict=True)]
     possible = {header.point_bytes * header.points: header.field_bytes, sum(dense) * header.points: tuple(dense)}
-    if size not in possible or size > min(packed * lzf.MAX_EXPANSION, max_bytes):
-        expected = f"{header.points} points of {header.point_bytes} bytes, at most {lzf.MAX_EXPANSION} times {packed}"
+    if size not in possible or size > min(packed * LZF_MAX_EXPANSION, max_bytes):
+        expected = f"{header.points} points of {header.point_bytes} bytes, at most {LZF_MAX_EXPANSION} times {packed}"
         raise FileFormatError(path, where=f"byte {header.body + 4}", expected=expected, found=f"{size} bytes")
     try:
-        body = lzf.decompress(data[start : start + packed], size)
-    except lzf.LzfError as error:
+        body = decompress_lzf(data[start : start + packed], size)
+    except LzfError as error:
         where = f"compressed body at byte {start}"
         raise FileFormatError(path, where=where, expected=f"{size} bytes in LZF", found=str(error)) from error
     fields, offset = [], 0
@@ -150,16 +306,16 @@ def write_pcd(path: Path | str, fields: Mapping[str, np.ndarray], *, encoding: s
     points = lengths.pop()
     if height < 1 or points % height:
         raise ValueError(f"write_pcd: expected a height that divides {points} points, got {height}")
-    flat = [array.reshape(points, array.size // max(points, 1)) for array in columns.values()]
+    rows = [array.reshape(points, array.size // max(points, 1)) for array in columns.values()]
     with open_atomic(path) as handle:
         handle.write(format_header(columns, points, encoding, height))
         if encoding == "ascii":
-            handle.writelines(_format_ascii(flat))
+            handle.writelines(_format_ascii(rows))
         elif encoding == "binary":
-            handle.write(np.concatenate([array.view(np.uint8) for array in flat], axis=1).tobytes() if points else b"")
+            handle.write(np.concatenate([array.view(np.uint8) for array in rows], axis=1).tobytes() if points else b"")
         else:
-            body = b"".join(array.tobytes() for array in flat)
-            packed = lzf.compress(body)
+            body = b"".join(array.tobytes() for array in rows)
+            packed = compress_lzf(body)
             handle.write(len(packed).to_bytes(4, "little") + len(body).to_bytes(4, "little") + packed)
 
 
@@ -174,8 +330,107 @@ def _as_column(name: str, values: np.ndarray) -> np.ndarray:
 
 
 def _format_ascii(columns: list[np.ndarray]) -> Iterator[bytes]:
-    flat = [column for array in columns for column in array.T]
-    for start in range(0, len(columns[0]), text_table.ROWS_AT_ONCE):
-        parts = [column[start : start + text_table.ROWS_AT_ONCE] for column in flat]
-        texts = [text_table.floats(part) if part.dtype.kind == "f" else text_table.integers(part) for part in parts]
-        yield text_table.join(texts, " ")
+    scalars = [column for array in columns for column in array.T]
+    for start in range(0, len(columns[0]), ascii_table.ROWS_AT_ONCE):
+        parts = [column[start : start + ascii_table.ROWS_AT_ONCE] for column in scalars]
+        texts = [ascii_table.floats(part) if part.dtype.kind == "f" else ascii_table.integers(part) for part in parts]
+        yield ascii_table.join(texts, " ")
+
+
+# The LZF compression of PCD's binary_compressed body, in plain Python.
+#
+# A stream is a sequence of tokens. Control byte c < 32: c + 1 literal bytes follow. Otherwise a copy from the output:
+# length (c >> 5) + 2, where 7 << 5 means that one more byte is added to the length; then the low byte of the distance
+# minus one, whose upper five bits are in c. So a copy is 3..264 bytes from at most 8192 bytes back.
+
+LZF_MAX_EXPANSION = 88  # three bytes stand for at most 264
+_MAX_LITERAL, _MAX_COPY, _MAX_DISTANCE = 32, 264, 8192
+
+
+class LzfError(ValueError):
+    """The stream is damaged; the argument is a message that names the byte within the stream."""
+
+
+def decompress_lzf(stream: bytes, size: int) -> bytes:
+    """Expand a stream.
+
+    Args:
+        stream: The compressed bytes.
+        size: Number of bytes that must come out; not allocated before they do.
+
+    Raises:
+        LzfError: If the stream ends within a token, refers before the beginning, or gives another number of bytes.
+    """
+    output, position, end = bytearray(), 0, len(stream)
+    try:
+        while position < end:
+            control = stream[position]
+            if control < _MAX_LITERAL:
+                following = position + control + 2
+                output += stream[position + 1 : following]
+                position = following
+                continue
+            length = (control >> 5) + 2
+            if length == 9:
+                position += 1
+                length += stream[position]
+            distance = ((control & 31) << 8) + stream[position + 1] + 1
+            position += 2
+            start = len(output) - distance
+            if start < 0:
+                raise LzfError(f"byte {position - 2}: a copy from {-start} bytes before the beginning")
+            if distance >= length:
+                output += output[start : start + length]
+            else:
+                output += (output[start:] * (length // distance + 1))[:length]
+            if len(output) > size:
+                break
+    except IndexError:
+        raise LzfError(f"byte {position}: the stream ends within a token") from None
+    if position > end or len(output) != size:
+        raise LzfError(f"byte {min(position, end)}: {len(output)} bytes came out instead of {size}")
+    return bytes(output)
+
+
+def compress_lzf(data: bytes) -> bytes:
+    """Compress bytes; data without repetitions grow by one byte in 32."""
+    following, length, distance = _copies(np.frombuffer(data, dtype=np.uint8))
+    output, position, size = bytearray(), 0, len(data)
+    while position < size:
+        target = following[position] if position < len(following) else size
+        while position < target:
+            run = min(target - position, _MAX_LITERAL)
+            output.append(run - 1)
+            output += data[position : position + run]
+            position += run
+        if position < size:
+            copied, back = min(length[position], _MAX_COPY), distance[position] - 1
+            if copied < 9:
+                output.append((copied - 2) << 5 | back >> 8)
+            else:
+                output += bytes((7 << 5 | back >> 8, copied - 9))
+            output.append(back & 255)
+            position += copied
+    return bytes(output)
+
+
+def _copies(data: UInt8[np.ndarray, " n"]) -> tuple[list[int], list[int], list[int]]:
+    """For each position: the next one at which a copy may begin, and that copy's length and distance.
+
+    A copy may begin where the same three bytes stood at most 8192 bytes before. Neighbouring positions with the same
+    distance make one longer copy.
+    """
+    count = max(len(data) - 2, 0)
+    if count == 0:
+        return [], [], []
+    triple = data[:-2].astype(np.uint32) << 16 | data[1:-1].astype(np.uint32) << 8 | data[2:]
+    order = np.argsort(triple, kind="stable")
+    repeated = triple[order[1:]] == triple[order[:-1]]
+    distance: Int[np.ndarray, " n"] = np.zeros(count, dtype=np.int64)
+    distance[order[1:][repeated]] = (order[1:] - order[:-1])[repeated]
+    distance[distance > _MAX_DISTANCE] = 0
+    index = np.arange(count)
+    changes = np.append(distance[1:] != distance[:-1], True)
+    run_end = np.minimum.accumulate(np.where(changes, index, count)[::-1])[::-1]
+    begin = np.minimum.accumulate(np.where(distance > 0, index, len(data))[::-1])[::-1]
+    return begin.tolist(), (run_end - index + 3).tolist(), distance.tolist()

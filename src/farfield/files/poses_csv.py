@@ -65,10 +65,10 @@ def write_poses(path: Path | str, table: PoseTable) -> None:
     quaternion = quaternion * np.where(quaternion[:, 3:] < 0, -1, 1)
     for number, frame in enumerate(table.frames):
         time = "" if table.times_ns is None else table.times_ns[number]
-        place = [f"{value + 0.0:.6f}" for value in np.round(table.world_T_frame[number, :3, 3], 6)]
+        translation = [f"{value + 0.0:.6f}" for value in np.round(table.world_T_frame[number, :3, 3], 6)]
         turn = [f"{value + 0.0:.9f}" for value in np.round(quaternion[number], 9)]
-        known = (table.state[number], table.blind[number])
-        rows.writerow([table.sequence, frame, table.reference, time, *place, *turn, *known])
+        flags = (table.state[number], table.blind[number])
+        rows.writerow([table.sequence, frame, table.reference, time, *translation, *turn, *flags])
     write_text(Path(path), text.getvalue())
 
 
@@ -88,8 +88,8 @@ def read_poses(path: Path | str) -> PoseTable:
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(path, where="the file", expected="CSV in UTF-8", found=plain(error)) from error
     if not rows or tuple(rows[0]) != COLUMNS:
-        found = ",".join(rows[0])[:80] if rows else "nothing"
-        raise FileFormatError(path, where="line 1", expected=",".join(COLUMNS), found=found)
+        actual = ",".join(rows[0])[:80] if rows else "nothing"
+        raise FileFormatError(path, where="line 1", expected=",".join(COLUMNS), found=actual)
     for number, row in enumerate(rows[1:], start=2):
         _check(path, number, row)
     body = rows[1:]
@@ -103,7 +103,7 @@ def read_poses(path: Path | str) -> PoseTable:
     poses = np.tile(np.eye(4), (len(body), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = Rotation.from_quat(numbers[:, 3:]).as_matrix(), numbers[:, :3]
     times = None if any(row[3] == "" for row in body) else tuple(int(row[3]) for row in body)
-    states, blind = (tuple(row[place] for row in body) for place in (11, 12))
+    states, blind = (tuple(row[column] for row in body) for column in (11, 12))
     return PoseTable(body[0][0], frames, body[0][2], times, poses, states, blind)
 
 

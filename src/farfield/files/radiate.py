@@ -57,13 +57,13 @@ def read_times(path: Path | str) -> dict[int, int]:
     times: dict[int, int] = {}
     text = read_bytes(path, max_bytes=MAX_TEXT_BYTES).decode("ascii", "replace")
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
-        if not words:
+        fields = line.split()
+        if not fields:
             continue
-        seconds, _, fraction = words[-1].partition(".")
-        digits = [words[1] if len(words) == 4 else "", seconds, fraction or "0"]
+        seconds, _, fraction = fields[-1].partition(".")
+        digits = [fields[1] if len(fields) == 4 else "", seconds, fraction or "0"]
         limits = (9, 12, 9)
-        good = len(words) == 4 and words[0] == "Frame:" and words[2] == "Time:"
+        good = len(fields) == 4 and fields[0] == "Frame:" and fields[2] == "Time:"
         if not good or not all(
             d.isascii() and d.isdigit() and len(d) <= n for d, n in zip(digits, limits, strict=True)
         ):
@@ -85,11 +85,11 @@ def read_tracks(path: Path | str) -> RadiateTracks:
     if not isinstance(entries, list):
         raise _wrong(path, "the file", "a JSON list of objects", type(entries).__name__)
     rows: list[tuple[int, int, str, list[float]]] = []
-    for place, entry in enumerate(entries):
-        name, track_id, boxes = _object(path, place, entry)
+    for number, entry in enumerate(entries):
+        name, track_id, boxes = _object(path, number, entry)
         for index, box in enumerate(boxes):
             if box:
-                rows.append((index + 1, track_id, name, _box(path, f"object {place}, box {index}", box)))
+                rows.append((index + 1, track_id, name, _box(path, f"object {number}, box {index}", box)))
     numbers = np.array([row[3] for row in rows], dtype=np.float64).reshape(len(rows), 5)
     return RadiateTracks(
         frame=np.array([row[0] for row in rows], dtype=np.int64),
@@ -101,12 +101,12 @@ def read_tracks(path: Path | str) -> RadiateTracks:
     )
 
 
-def _object(path: Path | str, place: int, entry: Any) -> tuple[str, int, list[Any]]:
+def _object(path: Path | str, number: int, entry: Any) -> tuple[str, int, list[Any]]:
     values = [entry.get(key) for key in ("class_name", "id", "bboxes")] if isinstance(entry, dict) else [None] * 3
     name, track_id, boxes = values
     sound = isinstance(name, str) and isinstance(boxes, list) and type(track_id) is int and 0 <= track_id < 2**31
     if not sound:
-        raise _wrong(path, f"object {place}", "id, class_name and bboxes", repr(entry))
+        raise _wrong(path, f"object {number}", "id, class_name and bboxes", repr(entry))
     return str(name), int(str(track_id)), list(boxes or [])
 
 
@@ -120,8 +120,8 @@ def _box(path: Path | str, where: str, box: Any) -> list[float]:
     return [float(value) for value in values]
 
 
-def _wrong(path: Path | str, where: str, expected: str, found: str) -> FileFormatError:
-    return FileFormatError(path, where=where, expected=expected, found=found[:120])
+def _wrong(path: Path | str, where: str, expected: str, actual: str) -> FileFormatError:
+    return FileFormatError(path, where=where, expected=expected, found=actual[:120])
 
 
 def times_text(times_ns: dict[int, int]) -> str:

@@ -80,8 +80,8 @@ def recognise_stamps(path: Path | str, *, unit: Unit = "auto") -> StampList | No
 def _unit(path: Path, name: str, number: bytes, unit: Unit) -> tuple[Literal["s", "ms", "us", "ns"], bool]:
     if unit != "auto":
         return unit, False
-    if (known := _SUFFIX.search(name)) is not None:
-        return known.group(1), False  # type: ignore[return-value]
+    if (suffix := _SUFFIX.search(name)) is not None:
+        return suffix.group(1), False  # type: ignore[return-value]
     if b"." in number:
         return "s", False
     size = len(number.strip().lstrip(b"-"))
@@ -154,48 +154,48 @@ def _numbers(stamps: StampList, number: int, block: bytes) -> Stamps:
     count = np.searchsorted(points, ends) - first
     at = np.full(len(starts), 1 << 40)
     at[count > 0] = points[first[count > 0]]
-    whole = np.minimum(at, ends) - starts
+    digits = np.minimum(at, ends) - starts
     length = ends - starts
-    found = np.empty(len(starts), dtype=np.int64)
-    wrong = (count > 1) | (length > 50) | (whole < 1) | (length == whole + 1)
-    for shape in np.unique(np.minimum(length, 63) * 64 + np.minimum(whole, 63)):
-        rows = np.flatnonzero((np.minimum(length, 63) * 64 + np.minimum(whole, 63) == shape) & ~wrong)
+    values = np.empty(len(starts), dtype=np.int64)
+    wrong = (count > 1) | (length > 50) | (digits < 1) | (length == digits + 1)
+    for shape in np.unique(np.minimum(length, 63) * 64 + np.minimum(digits, 63)):
+        rows = np.flatnonzero((np.minimum(length, 63) * 64 + np.minimum(digits, 63) == shape) & ~wrong)
         if len(rows):
-            wrong[rows] = ~_fill(found, rows, text, starts, int(length[rows[0]]), int(whole[rows[0]]), stamps.unit)
+            wrong[rows] = ~_fill(values, rows, text, starts, int(length[rows[0]]), int(digits[rows[0]]), stamps.unit)
     if wrong.any():
         line = int(lines[np.argmax(wrong)])
         shown = block.split(b"\n")[line][:60].decode("utf-8", "replace")
         raise _wrong(stamps.path, number + line, f"a stamp in {stamps.unit} between the years 1823 and 2116", shown)
-    return np.where(negative, -found, found)
+    return np.where(negative, -values, values)
 
 
 def _fill(
-    found: Stamps,
+    stamps_list: Stamps,
     rows: Stamps,
     text: Shaped[np.ndarray, " _"],
     starts: Stamps,
     length: int,
-    whole: int,
+    digit_count: int,
     unit: str,
 ) -> Shaped[np.ndarray, " _"]:
     """Numbers of one shape; digits below a nanosecond are cut. Says which are numbers that fit."""
     scale = _DIGITS[unit]
     digits = text[starts[rows][:, None] + np.arange(length)].astype(np.int64) - ord("0")
-    shown = np.delete(digits, whole, axis=1) if whole < length else digits
+    shown = np.delete(digits, digit_count, axis=1) if digit_count < length else digits
     sound = ((shown >= 0) & (shown <= 9)).all(axis=1)
-    used = shown[:, : whole + scale]
-    exponents = whole + scale - 1 - np.arange(used.shape[1])
+    used = shown[:, : digit_count + scale]
+    exponents = digit_count + scale - 1 - np.arange(used.shape[1])
     fits = exponents <= 18
     sound &= ~(used[:, ~fits] != 0).any(axis=1)
     sound &= ~((used[:, exponents == 18] > 4).any(axis=1))  # below 5e18: 158 years
-    found[rows] = used[:, fits] @ 10 ** exponents[fits]
+    stamps_list[rows] = used[:, fits] @ 10 ** exponents[fits]
     return sound
 
 
 def _column(stamps: StampList, number: int, block: bytes) -> bytes:
     """One column of a CSV as lines."""
     rows = [line.split(b",") for line in block.split(b"\n")[:-1]]
-    short = next((place for place, row in enumerate(rows) if row != [b""] and len(row) <= stamps.column), None)
+    short = next((row_index for row_index, row in enumerate(rows) if row != [b""] and len(row) <= stamps.column), None)
     if short is not None:
         raise _wrong(stamps.path, number + short, f"{stamps.column + 1} columns or more", f"{len(rows[short])}")
     return b"\n".join(row[stamps.column].strip() if row != [b""] else b"" for row in rows) + b"\n"
@@ -203,19 +203,19 @@ def _column(stamps: StampList, number: int, block: bytes) -> bytes:
 
 def _dates(path: Path, number: int, block: bytes) -> Stamps:
     lines = block.split(b"\n")[:-1]
-    for place, line in enumerate(lines):
+    for row, line in enumerate(lines):
         if line.strip() and not _DATE.match(line):
-            raise _wrong(path, number + place, "a date such as 2011-09-26 13:02:25.964389445", repr(line[:60]))
-    kept = [line.strip().decode("ascii").replace(" ", "T") for line in lines if line.strip()]
+            raise _wrong(path, number + row, "a date such as 2011-09-26 13:02:25.964389445", repr(line[:60]))
+    texts = [line.strip().decode("ascii").replace(" ", "T") for line in lines if line.strip()]
     try:
-        dates = np.array(kept, dtype="datetime64[ns]")
+        dates = np.array(texts, dtype="datetime64[ns]")
     except ValueError as error:
         raise _wrong(path, number, "dates of the calendar", str(error)[:80]) from error
-    outside = [text for text in kept if not "1823" < text[:4] < "2116"]
+    outside = [text for text in texts if not "1823" < text[:4] < "2116"]
     if outside:
         raise _wrong(path, number, "dates between the years 1823 and 2116", outside[0])
     return dates.astype(np.int64)
 
 
-def _wrong(path: Path, line: int, expected: str, found: str) -> FileFormatError:
-    return FileFormatError(path, where=f"line {line}", expected=expected, found=found)
+def _wrong(path: Path, line: int, expected: str, actual: str) -> FileFormatError:
+    return FileFormatError(path, where=f"line {line}", expected=expected, found=actual)

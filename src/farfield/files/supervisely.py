@@ -37,12 +37,12 @@ def placed_supervisely(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]
     content = parse_json(data, path, max_bytes=MAX_BYTES)
     held = {name: content.get(name) if isinstance(content, dict) else None for name in ("objects", "figures")}
     for name, value in held.items():
-        if not isinstance(value, list) or not all(isinstance(each, dict) for each in value):
+        if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
             raise FileFormatError(path, where="the root", expected=f"a list {name}", found=repr(value)[:80])
-    objects = {str(each.get("key")): each for each in held["objects"] or []}
+    objects = {str(entry.get("key")): entry for entry in held["objects"] or []}
     return tuple(
-        CuboidEntry(("figures", place), _cuboid(figure, objects, path, f"figure {place}"))
-        for place, figure in enumerate(held["figures"] or [])
+        CuboidEntry(("figures", number), _cuboid(figure, objects, path, f"figure {number}"))
+        for number, figure in enumerate(held["figures"] or [])
         if figure.get("geometryType") == _KIND
     )
 
@@ -50,12 +50,12 @@ def placed_supervisely(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]
 def values(cuboid: Cuboid) -> dict[tuple[str | int, ...], Any]:
     """What a figure says of a cuboid; of the rotation only the yaw, so that a pitch that stands there stays."""
     centre, size = cuboid.box[:3], cuboid.box[3:6]
-    known: dict[tuple[str | int, ...], Any] = {
+    changes: dict[tuple[str | int, ...], Any] = {
         ("geometry", name, axis): value
         for name, numbers in (("position", centre), ("dimensions", size))
         for axis, value in zip("xyz", numbers, strict=True)
     }
-    return known | {("geometry", "rotation", "z"): cuboid.box[6]}
+    return changes | {("geometry", "rotation", "z"): cuboid.box[6]}
 
 
 def with_class(text: str, key: str, label: str) -> str:
@@ -81,7 +81,7 @@ def with_new(text: str, cuboid: Cuboid) -> str:
 
 def _object_places(text: str) -> list[str]:
     objects = json.loads(text.removeprefix("\ufeff"))["objects"]
-    return [str(each.get("key")) for each in objects]
+    return [str(entry.get("key")) for entry in objects]
 
 
 def _cuboid(figure: Mapping[str, Any], objects: Mapping[str, Any], path: Path | str, where: str) -> Cuboid:

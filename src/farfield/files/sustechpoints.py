@@ -54,11 +54,11 @@ def _cuboid(entry: Any, path: Path | str, where: str) -> Cuboid:
 
 def values(cuboid: Cuboid) -> Mapping[tuple[str | int, ...], Any]:
     """What a label entry says of a cuboid, by the way to it in the entry."""
-    places = [("psr", part, axis) for part in ("position", "scale") for axis in "xyz"]
-    known: dict[tuple[str | int, ...], Any] = dict(zip(places, cuboid.box[:6], strict=True))
-    known |= {("psr", "rotation", "z"): wrapped(cuboid.box[6])}
-    known |= {("obj_type",): cuboid.label, ("obj_id",): cuboid.track}
-    return known | ({("obj_attr",): cuboid.attributes["obj_attr"]} if "obj_attr" in cuboid.attributes else {})
+    paths = [("psr", part, axis) for part in ("position", "scale") for axis in "xyz"]
+    changes: dict[tuple[str | int, ...], Any] = dict(zip(paths, cuboid.box[:6], strict=True))
+    changes |= {("psr", "rotation", "z"): wrapped(cuboid.box[6])}
+    changes |= {("obj_type",): cuboid.label, ("obj_id",): cuboid.track}
+    return changes | ({("obj_attr",): cuboid.attributes["obj_attr"]} if "obj_attr" in cuboid.attributes else {})
 
 
 def entry_of(cuboid: Cuboid) -> dict[str, Any]:

@@ -37,19 +37,19 @@ def _boxes(item: Element, number: int, path: Path | str) -> list[Cuboid]:
     if first != int(first) or not 0 <= first < _MOST_FRAMES:
         raise FileFormatError(path, where=where, expected="a frame number as first_frame", found=repr(first))
     poses = [pose for group in item.all("poses") for pose in group.all("item")]
-    found = []
+    boxes = []
     for step, pose in enumerate(poses):
         here = f"{where}, pose {step}"
         x, y, bottom, yaw = (_number(pose, name, path, here) for name in ("tx", "ty", "tz", "rz"))
         box = checked((x, y, bottom + height / 2), (length, width, height), yaw, path, here)
         frame = str(int(first) + step)
-        found.append(Cuboid(frame=frame, label=label, box=box, track=str(number), attributes=_seen(pose)))
-    return found
+        boxes.append(Cuboid(frame=frame, label=label, box=box, track=str(number), attributes=_seen(pose)))
+    return boxes
 
 
 def _seen(pose: Element) -> dict[str, Value]:
-    known = {name: pose.get(name) for name in ("occlusion", "truncation")}
-    return {name: float(text) for name, text in known.items() if text in ("-1", "0", "1", "2", "3", "99")}
+    values = {name: pose.get(name) for name in ("occlusion", "truncation")}
+    return {name: float(text) for name, text in values.items() if text in ("-1", "0", "1", "2", "3", "99")}
 
 
 def _number(element: Element, name: str, path: Path | str, where: str) -> float:

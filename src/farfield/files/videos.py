@@ -96,13 +96,13 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             if stream.codec_context is None:
                 raise FileFormatError(path, where="the header", expected="a codec that FFmpeg knows", found="another")
             if not 0 < stream.width * stream.height <= MAX_PIXELS:
-                found = f"{stream.width} x {stream.height}"
-                raise FileFormatError(path, where="the header", expected=f"1 to {MAX_PIXELS} pixels", found=found)
+                actual = f"{stream.width} x {stream.height}"
+                raise FileFormatError(path, where="the header", expected=f"1 to {MAX_PIXELS} pixels", found=actual)
             stream.thread_count = 1
             yield container, stream
     except (av.FFmpegError, ValueError, OverflowError, EOFError) as error:
-        found = str(error).split("\n")[0][:200] or type(error).__name__
-        raise FileFormatError(path, where="the film", expected="a whole film", found=found) from error
+        actual = str(error).split("\n")[0][:200] or type(error).__name__
+        raise FileFormatError(path, where="the film", expected="a whole film", found=actual) from error
 
 
 def read_film(path: Path | str) -> Film:
@@ -125,8 +125,8 @@ def read_film(path: Path | str) -> Film:
                 stamps.append(packet.pts)
         ordered = np.unique(np.array(stamps, dtype=np.int64))
         if not stamps or len(ordered) < len(stamps):
-            found = f"{len(stamps)} frames with {len(ordered)} stamps"
-            raise FileFormatError(path, where="the stamps", expected="a different one for each frame", found=found)
+            actual = f"{len(stamps)} frames with {len(ordered)} stamps"
+            raise FileFormatError(path, where="the stamps", expected="a different one for each frame", found=actual)
         return Film(path, stream.width, stream.height, ordered, Fraction(stream.time_base))
 
 
@@ -137,22 +137,22 @@ def film_frames(film: Film, first: int = 0, last: int | None = None) -> Iterator
         FileFormatError: If one of them cannot be decoded.
     """
     last = len(film) if last is None else min(last, len(film))
-    place = first
+    position = first
     with _opened(film.path) as (container, stream):
         if first:
             container.seek(int(film.stamps[first]), stream=stream, backward=True)
         for frame in container.decode(stream):
-            if place >= last:
+            if position >= last:
                 return
-            if frame.pts is None or frame.pts < film.stamps[place]:
+            if frame.pts is None or frame.pts < film.stamps[position]:
                 continue
-            if frame.pts != film.stamps[place] or (frame.width, frame.height) != (film.width, film.height):
+            if frame.pts != film.stamps[position] or (frame.width, frame.height) != (film.width, film.height):
                 break
             yield _upright(frame)
-            place += 1
-    if place < last:
+            position += 1
+    if position < last:
         raise FileFormatError(
-            film.path, where=f"frame {place}", expected=f"{len(film)} frames of one size", found="none that decodes"
+            film.path, where=f"frame {position}", expected=f"{len(film)} frames of one size", found="none that decodes"
         )
 
 

@@ -55,16 +55,16 @@ def read_camera_poses(path: Path | str) -> dict[str, Float[np.ndarray, "4 4"]]:
     Raises:
         FileFormatError: If the file holds anything but such objects, or a matrix is no rigid motion.
     """
-    text, decoder, place = _text(path, MAX_POSE_BYTES), json.JSONDecoder(), 0
+    text, decoder, position = _text(path, MAX_POSE_BYTES), json.JSONDecoder(), 0
     poses: dict[str, np.ndarray] = {}
-    while text[place:].strip():
-        place += len(text[place:]) - len(text[place:].lstrip())
+    while text[position:].strip():
+        position += len(text[position:]) - len(text[position:].lstrip())
         try:
-            entry, place = decoder.raw_decode(text, place)
+            entry, position = decoder.raw_decode(text, position)
         except (ValueError, RecursionError) as error:
-            raise _wrong(path, f"character {place}", "a JSON object", plain(error)) from error
+            raise _wrong(path, f"character {position}", "a JSON object", plain(error)) from error
         if not isinstance(entry, dict) or not set(entry) <= set(_POSE_NAMES):
-            raise _wrong(path, f"character {place}", f"objects of {', '.join(_POSE_NAMES)}", repr(entry))
+            raise _wrong(path, f"character {position}", f"objects of {', '.join(_POSE_NAMES)}", repr(entry))
         poses |= {_POSE_NAMES[name]: _motion(path, name, values) for name, values in entry.items()}
     if not poses:
         raise _wrong(path, "the file", f"objects of {', '.join(_POSE_NAMES)}", "an empty file")
@@ -138,5 +138,5 @@ def _text(path: Path | str, max_bytes: int) -> str:
         ) from None
 
 
-def _wrong(path: Path | str, where: str, expected: str, found: str) -> FileFormatError:
-    return FileFormatError(path, where=where, expected=expected, found=found[:120])
+def _wrong(path: Path | str, where: str, expected: str, actual: str) -> FileFormatError:
+    return FileFormatError(path, where=where, expected=expected, found=actual[:120])

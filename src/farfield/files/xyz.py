@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.errors import FileFormatError
-from farfield.files import text_table
+from farfield.files import ascii_table
+from farfield.files.ascii_table import parse_table
 from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
-from farfield.files.table import parse_table
 
 KNOWN_COLUMNS = (5, 8)
 _LINE_BYTES = 4096  # longer than any line of numbers
@@ -106,15 +106,15 @@ def write_xyz(path: Path | str, rows: Float[np.ndarray, "n c"], *, decimals: int
     if rows.ndim != 2 or rows.size == 0 or not np.isfinite(rows).all():
         raise ValueError(f"write_xyz: expected a table of finite numbers with at least one row, got {rows.shape}")
     places = [decimals] * rows.shape[1] if isinstance(decimals, int) else list(decimals)
-    if len(places) != rows.shape[1] or not all(0 <= place <= 15 for place in places):
+    if len(places) != rows.shape[1] or not all(0 <= digits <= 15 for digits in places):
         raise ValueError(f"write_xyz: expected 0..15 decimals for {rows.shape[1]} columns, got {decimals!r}")
     with open_atomic(path) as handle:
-        for start in range(0, len(rows), text_table.ROWS_AT_ONCE):
-            handle.write(_format(rows[start : start + (text_table.ROWS_AT_ONCE)], places))
+        for start in range(0, len(rows), ascii_table.ROWS_AT_ONCE):
+            handle.write(_format(rows[start : start + (ascii_table.ROWS_AT_ONCE)], places))
 
 
 def _format(rows: Float[np.ndarray, "n c"], places: list[int]) -> bytes:
-    if any(np.abs(rows[:, j]).max() * 10.0**place >= text_table.EXACT for j, place in enumerate(places)):
-        line = ",".join(f"%.{place}f" for place in places) + "\n"  # huge values: slow and exact
+    if any(np.abs(rows[:, j]).max() * 10.0**digits >= ascii_table.EXACT for j, digits in enumerate(places)):
+        line = ",".join(f"%.{digits}f" for digits in places) + "\n"  # huge values: slow and exact
         return ((line * len(rows)) % tuple(rows.ravel().tolist())).encode("ascii")
-    return text_table.join([text_table.fixed_point(rows[:, j], place) for j, place in enumerate(places)], ",")
+    return ascii_table.join([ascii_table.fixed_point(rows[:, j], digits) for j, digits in enumerate(places)], ",")

@@ -245,7 +245,7 @@ def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: f
 
     Args:
         path: The file.
-        bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
+        bin_columns: Numbers a point in ``.bin`` files; None decides by the numbers themselves.
         intensity_scale: Value that stands for full reflectance; None takes the smallest of 1, 255 and 65535 that
             covers the file.
 
@@ -253,8 +253,8 @@ def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: f
         FileFormatError: If the file is damaged, or an intensity is negative or beyond the scale.
         DatasetError: If the suffix is unknown, x, y and z are missing, or all points lie beyond 10 km.
     """
-    from farfield.files.bin_columns import bin_columns as bin_columns_of
-    from farfield.files.bin_columns import names_of
+    from farfield.files.clouds import bin_columns as bin_columns_of
+    from farfield.files.clouds import names_of
 
     if path.suffix == ".pcd":
         from farfield.files.pcd import read_pcd
@@ -284,7 +284,7 @@ def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
         ConfigError: If it does not have rows of three numbers or more.
         DatasetError: If coordinates are not finite, or an intensity is negative.
     """
-    from farfield.files.bin_columns import names_of
+    from farfield.files.clouds import names_of
 
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise ConfigError(f"expected rows of 3 or more numbers, got shape {rows.shape} of {rows.dtype}")
@@ -292,8 +292,8 @@ def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
 
 
 def columns_shown(paths: Sequence[Path]) -> int | None:
-    """Columns that the largest of some ``.bin`` files shows, None where it shows none: see ``bin_columns``."""
-    from farfield.files.bin_columns import bin_columns as bin_columns_of
+    """Numbers a point that the largest of some ``.bin`` files shows, None where it shows none: see ``bin_columns``."""
+    from farfield.files.clouds import bin_columns as bin_columns_of
 
     sizes = [(path.stat().st_size, path) for path in paths if path.suffix == ".bin"]
     if not sizes:

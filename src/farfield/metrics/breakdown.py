@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from farfield.files.spool import MappedView, alike
+from farfield.files.disk_dict import MappedView, alike
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.frames import BoxesByFrame

@@ -11,8 +11,7 @@ from jaxtyping import Float
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.frames import BoxesByFrame, frame_order
-from farfield.vocabulary.classes import normalised_class
-from farfield.vocabulary.sizes import unit_of_sizes
+from farfield.vocabulary.classes import normalised_class, unit_of_sizes
 
 _TURN = 2 * np.pi
 _FEW = 0.05  # share of headings beyond a turn that a tracker's unwrapping may leave

@@ -18,7 +18,7 @@ from farfield.inspection.placement import RigPlacement
 from farfield.pages.template import PageImage, render_template
 from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.patterns import PATTERNS
-from farfield.vocabulary.published import RADAR_LEVELS, RAISED_SHARES, ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
+from farfield.vocabulary.published_tables import RADAR_LEVELS, RAISED_SHARES, ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

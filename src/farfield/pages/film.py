@@ -23,13 +23,13 @@ from farfield.errors import ConfigError
 from farfield.figures.camera import box_lines
 from farfield.figures.style import ANNOTATED, PREDICTED
 from farfield.files import videos
-from farfield.files.animations import write_animation
 from farfield.files.atomic import open_atomic
+from farfield.files.images import write_animation
 from farfield.frame import Boxes, Cloud, Drive, Frame, Key
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
 from farfield.jobs import HERE, JobJournal, JobOptions, Unit, UnitResult, run
-from farfield.radar.grid import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M
+from farfield.radar.axes import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M
 from farfield.radar.views import PRODUCTS, bird_db
 from farfield.vocabulary.scores import SHOWN_SCORE
 

@@ -57,13 +57,13 @@ class RadarRegion:
     def slices(self) -> tuple[slice, slice, slice]:
         """The region's part of a cube: slices along z, y and x."""
         axes = ((CUBE_Z_M, self.z_m), (CUBE_Y_M, self.y_m), (CUBE_X_M, self.x_m))
-        found = []
+        ranges = []
         for axis, (low, high) in axes:
             rows = np.flatnonzero((axis - CUBE_STEP_M / 2 >= low - 1e-9) & (axis - CUBE_STEP_M / 2 < high - 1e-9))
             if not len(rows):
                 raise ConfigError(f"radar region: expected some of the cube's cells, found none within {low} to {high}")
-            found.append(slice(int(rows[0]), int(rows[-1]) + 1))
-        return found[0], found[1], found[2]
+            ranges.append(slice(int(rows[0]), int(rows[-1]) + 1))
+        return ranges[0], ranges[1], ranges[2]
 
     @property
     def cells(self) -> int:
@@ -167,8 +167,8 @@ class RadarCells:
 
     def _inside(self, region: RadarRegion) -> Bool[np.ndarray, " n"]:
         keep = np.ones(len(self), dtype=np.bool_)
-        for place, part in zip(np.unravel_index(self.index, _CUBE_SHAPE), region.slices(), strict=True):
-            keep &= (place >= part.start) & (place < part.stop)
+        for coordinate, part in zip(np.unravel_index(self.index, _CUBE_SHAPE), region.slices(), strict=True):
+            keep &= (coordinate >= part.start) & (coordinate < part.stop)
         return keep
 
 
@@ -187,14 +187,14 @@ def cells_of_cube(
     """
     parts = find_region(region).slices()
     inside = cube[parts]
-    place = np.nonzero(inside > OUTSIDE)
+    position = np.nonzero(inside > OUTSIDE)
     index = np.ravel_multi_index(
-        tuple(rows + part.start for rows, part in zip(place, parts, strict=True)), _CUBE_SHAPE
+        tuple(rows + part.start for rows, part in zip(position, parts, strict=True)), _CUBE_SHAPE
     ).astype(np.int32)
     doppler = None
     if doppler_m_s is not None:
         doppler = np.clip(np.rint(doppler_m_s.ravel()[index] / DOPPLER_STEP_M_S), -32768, 32767).astype(np.int16)
-    return RadarCells(index, _coded(inside[place]), doppler, _quantiles(cube))
+    return RadarCells(index, _coded(inside[position]), doppler, _quantiles(cube))
 
 
 def _coded(power: Float32[np.ndarray, " n"]) -> UInt16[np.ndarray, " n"]:
@@ -213,15 +213,15 @@ def _decoded() -> Float32[np.ndarray, "65536"]:
 
 def _quantiles(cube: Float32[np.ndarray, "150 400 250"]) -> Int32[np.ndarray, "2 13"]:
     """The codes above which each of ``RATES`` of all cells, and of the valid ones, lie."""
-    flat, counts = cube.ravel(), np.zeros(_CODES, dtype=np.int64)
-    for start in range(0, flat.size, _CHUNK_CELLS):  # what fits a cache is coded three times as fast
-        part = flat[start : start + _CHUNK_CELLS]
+    values, counts = cube.ravel(), np.zeros(_CODES, dtype=np.int64)
+    for start in range(0, values.size, _CHUNK_CELLS):  # what fits a cache is coded three times as fast
+        part = values[start : start + _CHUNK_CELLS]
         counts += np.bincount(_coded(part[part > OUTSIDE]), minlength=_CODES)
     valid = int(counts.sum())
     above: Int[np.ndarray, " codes"] = valid - np.cumsum(counts)
     rows = []
-    for count in (flat.size, valid):
-        wanted = np.array(RATES) * count
-        code = np.searchsorted(-above, -wanted)  # the first code with at most so many cells above it
-        rows.append(np.where(wanted >= valid, -1, code))
+    for count in (values.size, valid):
+        ranks = np.array(RATES) * count
+        code = np.searchsorted(-above, -ranks)  # the first code with at most so many cells above it
+        rows.append(np.where(ranks >= valid, -1, code))
     return np.stack(rows).astype(np.int32)

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, Num
 
 from farfield.radar.axes import KRADAR_AXES, RadarAxes
-from farfield.radar.products import Moments
-from farfield.radar.selection import check_shape
+from farfield.radar.products import Moments, check_shape
 
 
 def wrapped_mean_velocity(moments: Moments) -> Float32[np.ndarray, "r e a"]:

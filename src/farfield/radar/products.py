@@ -4,15 +4,25 @@ Sources: K-Radar's repository (the generator ``gen_3`` for the cube, the v2 load
 pre-processing for sparse clouds). Conventions of :mod:`farfield.radar.axes`.
 """
 
-from collections.abc import Iterable
-from typing import NamedTuple
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Num
+from jaxtyping import Float, Float32, Int, Num
 
-from farfield.radar.axes import KRADAR_AXES, POWER_UNIT, RadarAxes
-from farfield.radar.grid import CUBE_SHAPE, CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, OUTSIDE, onto_cube
-from farfield.radar.selection import check_shape, polar_cloud, polar_points, sparse_cloud, sparse_clouds, thresholds
+from farfield.radar.axes import (
+    CUBE_SHAPE,
+    CUBE_STEP_M,
+    CUBE_X_M,
+    CUBE_Y_M,
+    CUBE_Z_M,
+    KRADAR_AXES,
+    OUTSIDE,
+    POWER_UNIT,
+    RadarAxes,
+    onto_cube,
+)
 
 __all__ = [
     "CUBE_SHAPE",
@@ -76,8 +86,8 @@ def moments(tensor: Float[np.ndarray, "d r e a"], axes: RadarAxes = KRADAR_AXES)
 def _weights(axes: RadarAxes) -> Float[np.ndarray, "3 d"]:
     """What a cell's spectrum is multiplied with to give the three moments."""
     count = len(axes.doppler_m_s)
-    kept = np.where(np.arange(count) > 0, 1.0 / (count - 1), 0.0)
-    return np.stack([np.full(count, 1.0 / count), kept, kept * axes.doppler_m_s])
+    taper = np.where(np.arange(count) > 0, 1.0 / (count - 1), 0.0)
+    return np.stack([np.full(count, 1.0 / count), taper, taper * axes.doppler_m_s])
 
 
 def moments_of_columns(blocks: Iterable[Num[np.ndarray, "n d"]], axes: RadarAxes = KRADAR_AXES) -> Moments:
@@ -184,3 +194,192 @@ def doppler_cube(
     np.divide(velocity, power, out=velocity, where=power > 0)
     velocity[power == 0] = 0.0
     return velocity
+
+
+# Which cells are kept: thresholds of exact quantiles, the strongest share of a cube or of the polar grid.
+#
+# K-Radar's clouds have densities from 0.01 to 50 % ("Enhanced K-Radar"). A quantile here is numpy's default: linear
+# interpolation between the two order statistics beside (n - 1) q. It is found without sorting all cells: a sample tells
+# a level that surely lies below the threshold, and only the cells above that level are looked at.
+
+Population = Literal["all", "valid"]
+_SAMPLES = 1 << 16
+_STRIDE = 7  # set in the step between samples: it then shares no divisor 2 with the cube's sides
+_SPARE = 1.1  # the sampled level is lowered until it keeps so many times the cells wanted
+
+
+def thresholds(
+    values: Float32[np.ndarray, "*shape"], rates: Sequence[float], *, over: Population = "all"
+) -> list[float]:
+    """Levels that shares of the cells lie above, as ``numpy.quantile(cells, 1 - rate)`` gives them.
+
+    Args:
+        values: Power; :data:`OUTSIDE` or less stands for a cell outside the field of view.
+        rates: Shares, each between 0 and 1.
+        over: ``"all"`` counts every cell, those outside the field of view included; ``"valid"`` the others alone.
+
+    Raises:
+        ValueError: If a rate is no share, or there is no cell to count.
+    """
+    for rate in rates:
+        check_rate(rate)
+    values_1d = values.reshape(-1)
+    count = values_1d.size if over == "all" else int(np.count_nonzero(values_1d > OUTSIDE))
+    if not count:
+        raise ValueError("thresholds: expected cells inside the field of view, got none")
+    ranks = [(count - 1) * (1.0 - rate) for rate in rates]
+    lower = [min(math.floor(rank), count - 1) for rank in ranks]
+    upper = [min(rank + 1, count - 1) for rank in lower]
+    largest = _largest(values_1d, sorted({count - rank for rank in (*lower, *upper)}))
+    levels = []
+    for rank, low, high in zip(ranks, lower, upper, strict=True):
+        below, above = largest[count - low], largest[count - high]
+        levels.append(below + (above - below) * (rank - low))
+    return levels
+
+
+def _largest(values: Float32[np.ndarray, " n"], ranks: Sequence[int]) -> dict[int, float]:
+    """The values of given ranks, 1 the largest."""
+    most = ranks[-1]
+    candidates = values
+    if most < values.size // 4 and values.size > 4 * _SAMPLES:
+        sample = np.sort(values[:: max(values.size // _SAMPLES, 1) | _STRIDE])[::-1]
+        level = sample[min(math.ceil(_SPARE * most / values.size * sample.size) + 64, sample.size - 1)]
+        above = values[values >= level]
+        candidates = above if above.size >= most else values
+    parted = np.partition(candidates, [candidates.size - rank for rank in ranks])
+    return {rank: float(parted[candidates.size - rank]) for rank in ranks}
+
+
+def cells_above(values: Float32[np.ndarray, "*shape"], threshold: float) -> Int[np.ndarray, " n"]:
+    """Flat indices of the cells inside the field of view whose value lies above a threshold, rising."""
+    return np.flatnonzero(values.reshape(-1) > rounded_down(max(threshold, OUTSIDE)))
+
+
+def rounded_down(threshold: float) -> np.float32:
+    """The largest single-precision number not above a threshold: what lies above one lies above the other."""
+    near = np.float32(threshold)
+    return near if float(near) <= threshold else np.nextafter(near, np.float32(-np.inf))
+
+
+def sparse_cloud(
+    cube: Float32[np.ndarray, "150 400 250"],
+    rate: float = 0.1,
+    *,
+    over: Population = "all",
+    subtract_half_cell: bool = True,
+) -> Float32[np.ndarray, "n 4"]:
+    """The strongest cells of a cube as points: x, y, z in metres and power over ``POWER_UNIT``.
+
+    Args:
+        cube: Power in file units, -1 outside the field of view, as :func:`~farfield.radar.products.zyx_cube` returns
+            it.
+        rate: Share of cells above the threshold, between 0 and 1.
+        over: ``"all"`` takes the quantile over every cell, those outside the field of view included, as the published
+            clouds do (a nominal 0.1 keeps 19.4 % of the valid cells); ``"valid"`` over the field of view alone.
+        subtract_half_cell: Move the points by -0.2 m along x, y and z, as the published generators do.
+
+    Returns:
+        Points in the cube's order, z slowest.
+    """
+    return sparse_clouds(cube, (rate,), over=over, subtract_half_cell=subtract_half_cell)[rate]
+
+
+def sparse_clouds(
+    cube: Float32[np.ndarray, "150 400 250"],
+    rates: Sequence[float],
+    *,
+    over: Population = "all",
+    subtract_half_cell: bool = True,
+) -> Mapping[float, Float32[np.ndarray, "n 4"]]:
+    """Clouds of several densities from one look at a cube, by rate; see :func:`sparse_cloud`."""
+    levels = dict(zip(rates, thresholds(cube, rates, over=over), strict=True))
+    powers = cube.reshape(-1)
+    cells = cells_above(cube, min(levels.values()))
+    power = powers[cells]
+    shift_m = CUBE_STEP_M / 2 if subtract_half_cell else 0.0
+    row, x = np.divmod(cells.astype(np.int32), np.int32(len(CUBE_X_M)))
+    z, y = np.divmod(row, np.int32(len(CUBE_Y_M)))
+    points = np.empty((len(cells), 4), dtype=np.float32)
+    for column, (axis_m, index) in enumerate(((CUBE_X_M, x), (CUBE_Y_M, y), (CUBE_Z_M, z))):
+        points[:, column] = (axis_m - shift_m).astype(np.float32)[index]
+    points[:, 3] = power / POWER_UNIT
+    lowest = min(levels, key=lambda rate: levels[rate])
+    return {rate: points if rate == lowest else points[power > rounded_down(level)] for rate, level in levels.items()}
+
+
+def polar_cloud(
+    polar: Float32[np.ndarray, "2 r a e"],
+    rate: float = 0.1,
+    axes: RadarAxes = KRADAR_AXES,
+    *,
+    with_indices: bool = False,
+) -> Float32[np.ndarray, "n c"]:
+    """The strongest share of the polar grid's cells as points ("proportional polar").
+
+    Args:
+        polar: What :func:`~farfield.radar.products.polar3d` returns.
+        rate: Share of cells kept, between 0 and 1: 0.1 of K-Radar's grid is 101,351 points.
+        axes: The grid's axes.
+        with_indices: Also give range in metres, azimuth and elevation in radians, and the three indices.
+
+    Returns:
+        x, y, z in metres, power over ``POWER_UNIT``, mean velocity in m/s; with indices 11 columns.
+    """
+    check_rate(rate)
+    check_shape(polar.shape[1:], (len(axes.range_m), len(axes.azimuth_deg), len(axes.elevation_deg)), "r, a, e")
+    return polar_points(polar, cells_above(polar[0], *thresholds(polar[0], (rate,))), axes, with_indices=with_indices)
+
+
+def polar_points(
+    polar: Float32[np.ndarray, "2 r a e"],
+    cells: Int[np.ndarray, " n"],
+    axes: RadarAxes = KRADAR_AXES,
+    *,
+    with_indices: bool = False,
+) -> Float32[np.ndarray, "n c"]:
+    """Cells of the polar grid as points, whatever chose them: a share, or a detector of constant false-alarm rate.
+
+    Args:
+        polar: What :func:`~farfield.radar.products.polar3d` returns.
+        cells: Flat indices into the grid (range, azimuth, elevation).
+        axes: The grid's axes.
+        with_indices: As :func:`polar_cloud`.
+
+    Returns:
+        As :func:`polar_cloud`.
+    """
+    indices = np.unravel_index(cells, polar.shape[1:])
+    range_m = axes.range_m[indices[0]]
+    azimuth_rad, elevation_rad = np.radians(axes.azimuth_deg[indices[1]]), np.radians(axes.elevation_deg[indices[2]])
+    flat_m = range_m * np.cos(elevation_rad)
+    columns: list[Float[np.ndarray, " n"] | Int[np.ndarray, " n"]] = [
+        flat_m * np.cos(azimuth_rad),
+        flat_m * np.sin(azimuth_rad),
+        range_m * np.sin(elevation_rad),
+        polar[0].ravel()[cells],
+        polar[1].ravel()[cells],
+    ]
+    if with_indices:
+        columns += [range_m, azimuth_rad, elevation_rad, *indices]
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
+def check_shape(shape: tuple[int, ...], expected: tuple[int, ...], names: str) -> None:
+    """Refuse an array of another shape.
+
+    Raises:
+        ValueError: If it has one.
+    """
+    if tuple(shape) != tuple(expected):
+        raise ValueError(f"expected an array of shape {tuple(expected)} ({names}), got {tuple(shape)}")
+
+
+def check_rate(rate: float) -> None:
+    """Refuse what is no share.
+
+    Raises:
+        ValueError: If it is not between 0 and 1.
+    """
+    if not 0.0 < rate < 1.0:
+        raise ValueError(f"rate: expected a share between 0 and 1, got {rate}")

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from farfield.errors import ConfigError
+from farfield.files.ascii_table import ROWS_AT_ONCE, Text, integers, join
 from farfield.files.atomic import open_atomic
-from farfield.files.text_table import ROWS_AT_ONCE, Text, integers, join
 from farfield.sync.clocks import MAX_PAIRS, ClockModel, ExchangeClock, fit_clock
 from farfield.sync.sources import RecordedStreams
 from farfield.sync.stamps import StreamCounter, StreamStats, apart

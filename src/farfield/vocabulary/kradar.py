@@ -148,8 +148,8 @@ def published_conditions(sequence: str) -> dict[str, str]:
     >>> published_conditions("59")
     {}
     """
-    known = SEQUENCES.get(sequence)
-    return {} if known is None else known.conditions
+    sequence_row = SEQUENCES.get(sequence)
+    return {} if sequence_row is None else sequence_row.conditions
 
 
 def frame_difference(sequence: str) -> int:
@@ -178,7 +178,7 @@ def parse_description(line: str) -> dict[str, str] | None:
     >>> parse_description("Parking Lot, day, light snow")
     {'road': 'parking_lot', 'time': 'day', 'weather': 'light_snow'}
     """
-    words = [condition_name(word) for word in line.split(",")]
-    if len(words) != len(DESCRIPTION_ORDER) or not all(words):
+    names = [condition_name(word) for word in line.split(",")]
+    if len(names) != len(DESCRIPTION_ORDER) or not all(names):
         return None
-    return dict(zip(DESCRIPTION_ORDER, words, strict=True))
+    return dict(zip(DESCRIPTION_ORDER, names, strict=True))

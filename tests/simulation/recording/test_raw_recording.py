@@ -22,7 +22,7 @@ import farfield as ff
 from farfield.cli import main
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.bags import Bag
-from farfield.files.point_cloud2 import read_points
+from farfield.files.sensor_messages import read_points
 from farfield.simulation import find_preset
 from farfield.simulation.recording.raw import record_streams
 from farfield.simulation.rigs.cirrus import CirrusFrame

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.geometry.boxes import Boxes
-from farfield.vocabulary.sizes import SMALL_KINDS, VEHICLE_KINDS
+from farfield.vocabulary.classes import SMALL_KINDS, VEHICLE_KINDS
 
 Box = tuple[float, float, float, float, float, float, float]
 """x, y, z of the centre, length, width, height (metres), yaw (radians), as everywhere in Farfield."""

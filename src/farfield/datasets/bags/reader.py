@@ -13,9 +13,14 @@ from farfield.datasets.bags.transforms import Transforms
 from farfield.datasets.base import Dataset, Indices, Poses, all_poses
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
-from farfield.files.point_cloud2 import read_points
-from farfield.files.ros_images import read_ros_compressed, read_ros_image
-from farfield.frame import Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.files.sensor_messages import read_points
+from farfield.files.sensor_messages import read_ros_compressed
+from farfield.files.sensor_messages import read_ros_image
+from farfield.frame import Cloud
+from farfield.frame import Frame
+from farfield.frame import Lazy
+from farfield.frame import Sensor
+from farfield.frame import camera_sensor
 
 CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
 COMPRESSED, IMU = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu"
@@ -304,10 +309,13 @@ def load_cloud(
     """
     message = bag.at(topic, log_ns, index)
     columns = read_points(message, bag.path)
-    with guarded(bag.path, "a cloud's header"):
-        stamp_ns = int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
-    cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=stamp_ns)
+    cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=_stamp(message, bag.path))
     return cloud if target_T_sensor is None else cloud.transform(target_T_sensor)
+
+
+def _stamp(message: Any, path: Path) -> int:
+    with guarded(path, "a cloud's header"):
+        return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def cloud_of(columns: Columns, path: Path | str, *, limit: float | None, stamp_ns: int) -> Cloud:

@@ -13,22 +13,37 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.datasets.base import Dataset, Indices
-from farfield.datasets.kitti.boxes import (
-    annotation_of,
-    boxes_from_objects,
-    camera_from_calib,
-    objects_from_boxes,
-    sized_camera,
-)
-from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.datasets.base import Dataset
+from farfield.datasets.base import Indices
+from farfield.datasets.kitti.boxes import annotation_of
+from farfield.datasets.kitti.boxes import boxes_from_objects
+from farfield.datasets.kitti.boxes import camera_from_calib
+from farfield.datasets.kitti.boxes import objects_from_boxes
+from farfield.datasets.kitti.boxes import sized_camera
+from farfield.errors import ConfigError
+from farfield.errors import DatasetError
+from farfield.errors import FileFormatError
 from farfield.files.atomic import write_text
-from farfield.files.bin_columns import bin_columns, names_of
-from farfield.files.clouds import read_bin, write_bin
-from farfield.files.images import read_image, write_image
-from farfield.files.kitti import read_calib, read_labels, write_labels
-from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import columns_shown, read_cloud
+from farfield.files.clouds import bin_columns
+from farfield.files.clouds import names_of
+from farfield.files.clouds import read_bin
+from farfield.files.clouds import write_bin
+from farfield.files.images import read_image
+from farfield.files.images import write_image
+from farfield.files.kitti import read_calib
+from farfield.files.kitti import read_labels
+from farfield.files.kitti import write_labels
+from farfield.frame import Annotation
+from farfield.frame import Boxes
+from farfield.frame import Camera
+from farfield.frame import CameraField
+from farfield.frame import Cloud
+from farfield.frame import Frame
+from farfield.frame import Lazy
+from farfield.frame import Sensor
+from farfield.frame import camera_sensor
+from farfield.frame.cloud import columns_shown
+from farfield.frame.cloud import read_cloud
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
 _IMAGE_SUFFIXES = (".png", ".jpg")
@@ -45,7 +60,7 @@ class Kitti(Dataset):
         root: The folder with ``training`` or ``testing``, or one of those itself.
         part: ``"training"`` or ``"testing"``.
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
-        bin_columns: Columns of the clouds; None takes what the largest of the first clouds shows, and KITTI's
+        bin_columns: Numbers a point in the clouds; None takes what the largest of the first clouds shows, and KITTI's
             four where it does not show it.
 
     Raises:
@@ -81,7 +96,7 @@ class Kitti(Dataset):
         names = names_of(read_bin(self.clouds[0], columns=self.bin_columns))
         if "range_m" in names:
             raise DatasetError(
-                f"{self.clouds[0]}: expected a LiDAR's points, got a radar's: of {len(names)} columns number "
+                f"{self.clouds[0]}: expected a LiDAR's points, got a radar's: of {len(names)} numbers a point number "
                 f"{names.index('range_m') + 1} is its range. Open TJ4DRadSet with format=tj4dradset"
             )
 
@@ -290,5 +305,8 @@ def calibration_text(camera: Camera) -> str:
     projection = np.column_stack([camera.matrix, np.zeros(3)])
     matrices = {f"P{number}": projection for number in range(4)}
     matrices |= {"R0_rect": np.eye(3), "Tr_velo_to_cam": camera.camera_T_lidar[:3], "Tr_imu_to_velo": np.eye(4)[:3]}
-    rows = {name: " ".join(repr(value) for value in matrix.ravel().tolist()) for name, matrix in matrices.items()}
-    return "".join(f"{name}: {row}\n" for name, row in rows.items())
+    return "".join(f"{name}: {_row(matrix)}\n" for name, matrix in matrices.items())
+
+
+def _row(matrix: Float[np.ndarray, "rows columns"]) -> str:
+    return " ".join(repr(value) for value in matrix.ravel().tolist())

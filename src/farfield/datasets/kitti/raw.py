@@ -20,7 +20,7 @@ from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
 from farfield.files.images import read_image
-from farfield.files.kitti_raw import read_raw_calib, read_record, rectified, rigid
+from farfield.files.kitti import read_raw_calib, read_record, rectified, rigid
 from farfield.files.stamps import read_stamps, recognise_stamps
 from farfield.files.tracklets import parse_tracklets
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor

@@ -18,17 +18,21 @@ from farfield.datasets.kradar.layout import LIDARS, SPARSE_COLUMNS
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import write_bytes
 from farfield.files.images import read_image
-from farfield.files.mat import read_mat, write_mat
-from farfield.files.mat_stream import open_mat
+from farfield.files.mat import open_mat, read_mat, write_mat
 from farfield.files.npy import read_npy, write_npy
 from farfield.files.pcd import read_pcd, write_pcd
 from farfield.files.radar_cells import read_radar_cells, write_radar_cells
 from farfield.frame import Cloud
-from farfield.radar.axes import KRADAR_AXES, RadarAxes
+from farfield.radar.axes import KRADAR_AXES, RadarAxes, cube_gather
 from farfield.radar.cells import RATES, RadarCells
-from farfield.radar.grid import cube_gather
-from farfield.radar.products import Moments, moments_of_columns, polar3d_from_moments, sparse_clouds, zyx_cube
-from farfield.radar.selection import Population
+from farfield.radar.products import (
+    Moments,
+    Population,
+    moments_of_columns,
+    polar3d_from_moments,
+    sparse_clouds,
+    zyx_cube,
+)
 
 TESSERACT_SHAPE = (64, 256, 37, 107)  # Doppler, range, elevation, azimuth
 CUBE_SHAPE = (150, 400, 250)  # z, y, x

@@ -16,7 +16,7 @@ from farfield.datasets.labels.line_labels import kept_numbers
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.cuboids import Cuboid
 from farfield.files.tracklets import parse_tracklets
-from farfield.files.xml_spans import Edit, Span, edited, parse_spans
+from farfield.files.xml_tree import Edit, Span, edited, parse_spans
 from farfield.frame import Key
 
 _EMPTY = b"""<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>

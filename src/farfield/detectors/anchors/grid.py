@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from farfield.detectors.config import range_weights
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
-from farfield.vocabulary.sizes import CIRRUS_SIZES_M
+from farfield.vocabulary.classes import CIRRUS_SIZES_M
 
 HEADINGS_RAD = np.array([0.0, np.pi / 2])
 DIRECTION_OFFSET_RAD = 0.78539  # OpenPCDet's DIR_OFFSET
@@ -176,25 +176,21 @@ class AnchorGrid:
         """
         kind = self.kinds(boxes)
         column, row = np.floor((boxes.centre_m[:, :2] - self.first_m) / self.step_m + 0.5).astype(np.int64).T
-        in_grid = np.flatnonzero((kind >= 0) & (column >= 0) & (column < self.nx) & (row >= 0) & (row < self.ny))
-        radius_cells = int(np.ceil(ignore_m / self.step_m.min()))
-        step_x, step_y = (
-            s.ravel() for s in np.meshgrid(*[np.arange(-radius_cells, radius_cells + 1)] * 2, indexing="ij")
-        )
-        ix, iy = column[in_grid, None] + step_x, row[in_grid, None] + step_y
+        here = np.flatnonzero((kind >= 0) & (column >= 0) & (column < self.nx) & (row >= 0) & (row < self.ny))
+        reach = int(np.ceil(ignore_m / self.step_m.min()))
+        step_x, step_y = (s.ravel() for s in np.meshgrid(*[np.arange(-reach, reach + 1)] * 2, indexing="ij"))
+        ix, iy = column[here, None] + step_x, row[here, None] + step_y
         centre_x, centre_y = ix * self.step_m[0] + self.first_m[0], iy * self.step_m[1] + self.first_m[1]
-        gap = np.hypot(centre_x - boxes.centre_m[in_grid, 0, None], centre_y - boxes.centre_m[in_grid, 1, None])
+        gap = np.hypot(centre_x - boxes.centre_m[here, 0, None], centre_y - boxes.centre_m[here, 1, None])
         gap[(ix < 0) | (ix >= self.nx) | (iy < 0) | (iy >= self.ny)] = np.inf
-        turned = (
-            np.abs(wrap_angle_rad(2 * boxes.yaw_rad[in_grid])) > np.pi / 2
-        )  # nearer to 90 than to 0 degrees, mod 180
-        base = ((ix * self.ny + iy) * len(self.names) + kind[in_grid, None]) * 2
+        turned = np.abs(wrap_angle_rad(2 * boxes.yaw_rad[here])) > np.pi / 2  # nearer to 90 than to 0 degrees, mod 180
+        base = ((ix * self.ny + iy) * len(self.names) + kind[here, None]) * 2
         assigned = (gap <= positive_m) | ((gap == gap.min(axis=1, initial=np.inf, keepdims=True)) & np.isfinite(gap))
         box_of, where = np.nonzero(assigned)
         positive = base[box_of, where] + turned[box_of]
         order = np.argsort(gap[box_of, where], kind="stable")
         positive, first = np.unique(positive[order], return_index=True)
-        winner = in_grid[box_of[order][first]]
+        winner = here[box_of[order][first]]
         near_box, near_where = np.nonzero(gap <= ignore_m)
         near = base[near_box, near_where]
         ignored = np.setdiff1d(np.concatenate([near, near + 1, positive ^ 1]), positive)
@@ -276,10 +272,10 @@ def _overlaps(
     """All pairs of the chosen boxes and the anchors of a class that overlap: box, flat anchor index, IoU."""
     half_box = _half_m(boxes.size_m[chosen, :2], _lies_across(boxes.yaw_rad[chosen]))
     half_anchor = _half_m(np.tile(grid.sizes_m[kind, :2], (2, 1)), np.array([False, True]))
-    radius_cells = np.ceil((half_box.max(axis=0, initial=0.0) + half_anchor.max(axis=0)) / grid.step_m).astype(np.int64)
-    radius_cells = np.minimum(radius_cells, [grid.nx, grid.ny])
+    reach = np.ceil((half_box.max(axis=0, initial=0.0) + half_anchor.max(axis=0)) / grid.step_m).astype(np.int64)
+    reach = np.minimum(reach, [grid.nx, grid.ny])
     nearest = np.round((boxes.centre_m[chosen, :2] - grid.first_m) / grid.step_m).astype(np.int64)
-    steps = np.stack(np.meshgrid(*(np.arange(-r, r + 1) for r in radius_cells), indexing="ij"), axis=-1).reshape(-1, 2)
+    steps = np.stack(np.meshgrid(*(np.arange(-r, r + 1) for r in reach), indexing="ij"), axis=-1).reshape(-1, 2)
     cell = nearest[:, None] + steps
     gap = np.abs(cell * grid.step_m + grid.first_m - boxes.centre_m[chosen, None, :2])[:, :, None]
     shared = np.minimum(

@@ -142,8 +142,8 @@ class CellEncoder(nn.Module):
         count = torch.bincount(key, minlength=cells)
         keys = count.nonzero().squeeze(1)
         if len(keys) < len(key):  # somewhere two points share a cell
-            counted = first_points(key, self.max_points)
-            features, key = features[counted], key[counted]
+            kept = first_points(key, self.max_points)
+            features, key = features[kept], key[kept]
         row = torch.cumsum(count > 0, 0)[key] - 1
         if len(keys) == len(key) and self.max_points > 1:  # one point a cell, and zeros beside it
             learned = torch.relu(self.linear(features))

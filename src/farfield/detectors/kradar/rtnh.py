@@ -195,10 +195,10 @@ def _kernel(conv: Any, dtype: torch.dtype) -> Tensor:
     weight = conv.weight.to(dtype).view(*conv.kernel, conv.c_in, conv.c_out).permute(4, 3, 0, 1, 2)
     if torch.is_grad_enabled():
         return weight
-    cached, version, kernel = getattr(
+    known, version, kernel = getattr(
         conv, "laid_out", (None, None, None)
     )  # holds the weights: their place stays theirs
-    if cached is None or (cached.data_ptr(), version) != (conv.weight.data_ptr(), conv.weight._version):
+    if known is None or (known.data_ptr(), version) != (conv.weight.data_ptr(), conv.weight._version):
         kernel = None
     if kernel is None or kernel.dtype != dtype:
         kernel = weight.contiguous(memory_format=torch.channels_last_3d)
@@ -272,6 +272,6 @@ def _in_slabs(volume: Tensor, kernel: Tensor, bias: Tensor | None, occupied: Ten
         part = volume[:, :, start - below : end + above]
         if not (below and above):
             part = functional.pad(part, (0, 0, 0, 0, 1 - below, 1 - above))
-        slab = functional.conv3d(part, kernel, bias, 1, (0, 1, 1)).relu_()
-        torch.mul(slab, mask[:, :, start:end], out=out[:, :, start:end])
+        made = functional.conv3d(part, kernel, bias, 1, (0, 1, 1)).relu_()
+        torch.mul(made, mask[:, :, start:end], out=out[:, :, start:end])
     return out

@@ -25,7 +25,7 @@ from farfield.detectors.network import ClassRows
 from farfield.detectors.nms import boxes_after_nms, rotated_nms, wrap_angle
 from farfield.detectors.sparse import FLAT, SubmanifoldConv, decode_keys, neighbour_table, normalised
 from farfield.geometry.boxes import Boxes
-from farfield.vocabulary.sizes import CIRRUS_SIZES_M
+from farfield.vocabulary.classes import CIRRUS_SIZES_M
 
 _NUMBERS = 10  # offset 2, height, log size 3, sine and cosine of twice the yaw, sine and cosine of the yaw
 _LOG_SIZE = (float(np.log(0.05)), float(np.log(40.0)))
@@ -88,15 +88,9 @@ class BoxesOfClasses:
         names, (nx, ny) = self.classes, self.shape
         kind = np.array([names.index(name) if name in names else -1 for name in boxes.label], dtype=np.int64)
         x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1] - self.y_min_m
-        on_map = (kind >= 0) & (x >= 0) & (x < nx * self.cell_m) & (y >= 0) & (y < ny * self.cell_m)
-        on_map_boxes = boxes[on_map]
-        return CentreTargets(
-            on_map_boxes.centre_m,
-            on_map_boxes.size_m,
-            on_map_boxes.yaw_rad,
-            kind[on_map],
-            range_weights(on_map_boxes, self.far_weight),
-        )
+        here = (kind >= 0) & (x >= 0) & (x < nx * self.cell_m) & (y >= 0) & (y < ny * self.cell_m)
+        kept = boxes[here]
+        return CentreTargets(kept.centre_m, kept.size_m, kept.yaw_rad, kind[here], range_weights(kept, self.far_weight))
 
 
 class BoxTensors(NamedTuple):
@@ -381,28 +375,28 @@ class CentreHead(nn.Module):
 
     def decode(self, maps: CentreMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
-        candidates = self.peak_boxes(maps)
+        found = self.found(maps)
         if maps.logits.is_cuda:
-            return self.boxes_on_device(*candidates, maps.frames)
-        rows, score, kind, frame = (part.cpu().numpy() for part in candidates)
+            return self.boxes_there(*found, maps.frames)
+        rows, score, kind, frame = (part.cpu().numpy() for part in found)
         return [self._frame(rows[frame == i], score[frame == i], kind[frame == i]) for i in range(maps.frames)]
 
-    def peak_boxes(self, maps: CentreMaps) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def found(self, maps: CentreMaps) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The boxes at all peaks, rows (n, 7) float64, their scores, classes and frames, each of shape (n,)."""
         logits = maps.logits.float()
-        confident = logits >= logit(self.config.score_threshold)
-        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & confident
+        high = logits >= logit(self.config.score_threshold)
+        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & high
         row, kind = passed.nonzero().unbind(1)
         frame, place_m = self.places_m(maps.keys[row])
         rows = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
         return rows, torch.sigmoid(logits[row, kind].double()), kind, frame
 
-    def boxes_on_device(self, rows: Tensor, score: Tensor, kind: Tensor, frame: Tensor, frames: int) -> list[Boxes]:
-        """The boxes of each frame after suppression on their device; arguments as :meth:`peak_boxes` returns them."""
+    def boxes_there(self, rows: Tensor, score: Tensor, kind: Tensor, frame: Tensor, frames: int) -> list[Boxes]:
+        """The boxes of each frame after suppression on the device that they are on; arguments as :meth:`found` has."""
         boxes = []
         for number in range(frames):
-            of_frame = (frame == number).nonzero().squeeze(1)
-            best = of_frame[torch.sort(score[of_frame], descending=True, stable=True).indices[: self.config.candidates]]
+            mine = (frame == number).nonzero().squeeze(1)
+            best = mine[torch.sort(score[mine], descending=True, stable=True).indices[: self.config.candidates]]
             boxes.append(
                 boxes_after_nms(
                     rows[best],
@@ -424,9 +418,9 @@ class CentreHead(nn.Module):
         return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
 
 
-def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], radius: int) -> Tensor:
-    """Where no occupied cell within ``radius`` steps is hotter, a class each, shape (n, classes), bool."""
-    side = range(-radius, radius + 1)
+def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], reach: int) -> Tensor:
+    """Where no occupied cell within ``reach`` steps is hotter, a class each, shape (n, classes), bool."""
+    side = range(-reach, reach + 1)
     around = [(0, dx, dy) for dx, dy in product(side, side) if (dx, dy) != (0, 0)]
     table = neighbour_table(keys, keys, (1, *shape), around).long()
     padded = torch.cat([logits, logits.new_full((1, logits.shape[1]), -torch.inf)])

@@ -8,9 +8,11 @@ from pathlib import Path
 from farfield.annotation.saving import FORMATS, pack
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
-from farfield.files.animations import write_animation
 from farfield.files.atomic import write_text
-from farfield.studio.exports import MOST_FRAMES, ExportedFile, standalone
+from farfield.files.images import write_animation
+from farfield.studio.exports import ExportedFile
+from farfield.studio.exports import MOST_FRAMES
+from farfield.studio.exports import standalone
 from farfield.studio.messages import requests
 from farfield.studio.messages.replies import FrameState, Job
 from farfield.studio.messages.rows import Layer
@@ -93,8 +95,8 @@ def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], p
     session = Session(settings)
     try:
         session.open(data)
-        indices = tuple(first_of(frame, data) for frame in frames or ("",))
-        write_text(path, page_of(session, ClientWindow(id="file", annotator="", threshold=settings.threshold), indices))
+        chosen = tuple(first_of(frame, data) for frame in frames or ("",))
+        write_text(path, page_of(session, ClientWindow(id="file", annotator="", threshold=settings.threshold), chosen))
     finally:
         session.threads.end()
         session.exports.close()

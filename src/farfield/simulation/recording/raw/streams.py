@@ -88,7 +88,7 @@ def record_raw(
     options: RecordingOptions, *, progress: Progress = iter, report: Callable[[str], object] | None = None
 ) -> RawRecorded:
     """As :func:`record_streams`, with all options in one object, of which ``raw`` is set."""
-    from farfield.files.ros_messages import store
+    from farfield.files.bag_writing import store
 
     report = report or _silent
     store()  # fails at once if rosbags is missing
@@ -207,7 +207,7 @@ def streams_of(recording: Recording) -> tuple[str, ...]:
 
 def kinds_of(recording: Recording) -> dict[str, str]:
     """Type of the messages of each topic."""
-    from farfield.files import ros_messages as ros
+    from farfield.files import bag_writing as ros
 
     special = {"camera": ros.COMPRESSED, "gps": ros.FIX, "tf": ros.TRANSFORMS}
     kinds = {
@@ -279,14 +279,14 @@ class _MessageMaker:
 
     def static(self) -> bytes:
         """Where the sensors sit."""
-        from farfield.files.ros_messages import serialised, transforms_message
+        from farfield.files.bag_writing import serialised, transforms_message
         from farfield.simulation.recording.raw.measure import mounts
 
         return serialised(transforms_message(self.plan.epoch_ns, BASE, mounts(self.drive)))
 
     def message(self, stream: "SensorStream", row: int) -> bytes:
         """One message of a stream."""
-        from farfield.files import ros_messages as ros
+        from farfield.files import bag_writing as ros
         from farfield.simulation.recording.raw import measure
 
         name, drive = stream.name, self.drive

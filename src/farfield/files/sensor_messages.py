@@ -1,0 +1,122 @@
+"""``sensor_msgs/msg/PointCloud2``: fields at any offset, of any type and byte order, padded points and rows."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Shaped, UInt8
+
+from farfield.errors import FileFormatError
+from farfield.files.bags import guarded
+from farfield.files.images import MAX_PIXELS, decode_image
+
+TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""``PointField``'s codes."""
+
+
+def read_points(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """The columns of a cloud, row after row, in the machine's byte order; a field of several numbers is ``name_0``...
+
+    Args:
+        message: With the fields of the type: ``height``, ``width``, ``fields``, ``is_bigendian``, ``point_step``,
+            ``row_step``, ``data``.
+        path: For error messages.
+
+    Raises:
+        FileFormatError: If a field's type is unknown, a name stands twice, or sizes contradict each other.
+    """
+    with guarded(path, "a point cloud"):  # a damaged definition leaves fields out
+        return _columns(message, path)
+
+
+def _columns(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n"]]:
+    height, width, step, row = (int(getattr(message, n)) for n in ("height", "width", "point_step", "row_step"))
+    data = np.asarray(message.data, dtype=np.uint8)
+    order = ">" if message.is_bigendian else "<"
+    names: dict[str, tuple[str, int]] = {}
+    for field in message.fields:
+        code, count, offset = int(field.datatype), max(int(field.count), 1), int(field.offset)
+        if code not in TYPES:
+            raise _wrong(path, f"field {field.name}", f"a type from 1 to 8, {_said()}", f"{code}")
+        size = np.dtype(TYPES[code]).itemsize
+        if offset + count * size > step:
+            raise _wrong(path, f"field {field.name}", f"bytes within a point of {step}", f"{offset} + {count} x {size}")
+        for element in range(count):
+            name = field.name if count == 1 else f"{field.name}_{element}"
+            if name in names:
+                raise _wrong(path, f"field {name}", "one of each name", "two")
+            names[name] = (order + TYPES[code], offset + element * size)
+    rows = row if height > 1 else width * step
+    if width * step > rows or (height - 1) * rows + width * step > len(data) or (height and not step):
+        raise _wrong(
+            path, "the sizes", f"{height} rows of {rows} bytes, {width} points of {step}", f"{len(data)} bytes"
+        )
+    columns: Any = {
+        "names": list(names),
+        "formats": [form for form, _ in names.values()],
+        "offsets": [offset for _, offset in names.values()],
+        "itemsize": step,
+    }
+    points: Any = (
+        np.ndarray((height, width), np.dtype(columns), buffer=data, strides=(rows, step)) if height * width else None
+    )
+    empty: Any = np.zeros(0, dtype=np.dtype(columns))
+    table = empty if points is None else points
+    native = {name: np.dtype(form).newbyteorder("=") for name, (form, _) in names.items()}
+    return {name: np.ascontiguousarray(table[name]).astype(native[name]).reshape(-1) for name in names}
+
+
+def _said() -> str:
+    return ", ".join(f"{code} {name}" for code, name in TYPES.items())
+
+
+def _wrong(path: Path | str, where: str, expected: str, actual: str) -> FileFormatError:
+    return FileFormatError(path, where=f"a point cloud, {where}", expected=expected, found=actual)
+
+
+# ``sensor_msgs/msg/Image`` and ``CompressedImage`` as RGB.
+
+CHANNELS = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0), "rgba8": (0, 1, 2), "bgra8": (2, 1, 0), "mono8": (0, 0, 0)}
+_SIZES = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}
+
+
+def read_ros_image(message: Any, path: Path | str) -> UInt8[np.ndarray, "height width 3"]:
+    """An ``Image`` of eight bits a channel as RGB, without the padding of its rows.
+
+    Raises:
+        FileFormatError: If its encoding is another, or its sizes contradict each other.
+    """
+    with guarded(path, "an image"):  # a damaged definition leaves fields out
+        return _pixels(message, path)
+
+
+def _pixels(message: Any, path: Path | str) -> UInt8[np.ndarray, "height width 3"]:
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    encoding, data = str(message.encoding), np.asarray(message.data, dtype=np.uint8)
+    if encoding not in CHANNELS:
+        names = ", ".join(CHANNELS)
+        raise FileFormatError(path, where="an image's encoding", expected=f"one of {names}", found=repr(encoding[:40]))
+    row = width * _SIZES[encoding]
+    if height * width > MAX_PIXELS or step < row or len(data) < (height - 1) * step + row or not height * width:
+        actual = f"{len(data)} bytes for {width} x {height} in rows of {step}"
+        raise FileFormatError(path, where="an image", expected=f"rows of {row} bytes or more, all there", found=actual)
+    padded = np.zeros(height * step, dtype=np.uint8)
+    padded[: min(len(data), len(padded))] = data[: len(padded)]
+    pixels = padded.reshape(height, step)[:, :row].reshape(height, width, -1)
+    return np.ascontiguousarray(pixels[:, :, list(CHANNELS[encoding])])
+
+
+def read_ros_compressed(message: Any, path: Path | str) -> UInt8[np.ndarray, "height width 3"]:
+    """A ``CompressedImage`` that holds a JPEG or a PNG as RGB.
+
+    Raises:
+        FileFormatError: If it holds something else, such as depth or video.
+    """
+    with guarded(path, "a compressed image"):
+        kind, data = str(message.format), np.asarray(message.data, dtype=np.uint8).tobytes()
+    if "compressedDepth" in kind:
+        raise FileFormatError(
+            path, where="a compressed image", expected="a JPEG or PNG", found=f"depth ({kind[:60]!r})"
+        )
+    return decode_image(io.BytesIO(data), path, max_pixels=MAX_PIXELS)
