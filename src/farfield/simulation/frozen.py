@@ -1,4 +1,4 @@
-"""Frozen splits: named seeds whose frames are known by checksum.
+"""Frozen splits: named seeds whose frames have recorded checksums.
 
 Rays are cast in single precision, and another processor may round a hit or an exponential differently in the last bit.
 So there are two verdicts. ``identical``: every point rounded to a millimetre, every intensity and every box agrees with
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Boxes, Frame
+from farfield.frame import Frame
 
 FROZEN = ("cirrus-sim-val-v2",)
 _COUNT_TOLERANCE = 0.002
@@ -24,7 +24,7 @@ _COUNT_TOLERANCE = 0.002
 
 @dataclass(frozen=True)
 class FrozenFrame:
-    """What is known of one frozen frame.
+    """The record of one frozen frame.
 
     Args:
         digest: First 16 hexadecimal digits of the SHA-256 of its rounded content.
@@ -35,12 +35,6 @@ class FrozenFrame:
     digest: str
     points: tuple[int, int]
     boxes: int
-
-
-def _boxes_bytes(boxes: Boxes) -> bytes:
-    rows = np.column_stack([boxes.centre_m, boxes.size_m, np.degrees(boxes.yaw_rad)])
-    text = "\n".join(str(label) for label in boxes.label)
-    return np.round(rows * 1000).astype("<i8").tobytes() + text.encode()
 
 
 def frame_record(frame: Frame) -> FrozenFrame:
@@ -57,7 +51,9 @@ def frame_record(frame: Frame) -> FrozenFrame:
         raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which the digest holds")
     boxes = annotation.boxes
     for annotated in (boxes, annotation.full_boxes):
-        content.update(_boxes_bytes(annotated))
+        rows = np.column_stack([annotated.centre_m, annotated.size_m, np.degrees(annotated.yaw_rad)])
+        text = "\n".join(str(label) for label in annotated.label)
+        content.update(np.round(rows * 1000).astype("<i8").tobytes() + text.encode())
     return FrozenFrame(content.hexdigest()[:16], (len(clouds[0]), len(clouds[1])), len(boxes))
 
 

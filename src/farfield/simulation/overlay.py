@@ -43,7 +43,7 @@ from farfield.vocabulary.conditions import WEATHERS
 CLEAR_WEATHER = Weather()
 """The air in which a sweep counts as measured: a visibility of 20 km."""
 
-_DRAWS = 200  # of each condition: its bounds are known to a hundredth of their width
+_DRAWS = 200  # of each condition: its bounds are exact to a hundredth of their width
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +142,13 @@ class WindowEffect:
         if share <= 0:
             return cls(None, 0.0, clear, clear)
         half = 180.0 if model.spinning else model.azimuth_deg
+        rows_deg = (-model.elevation_deg, model.elevation_deg) if model.beams is None else model.beams.elevation_deg
         field = WindowField.draw(
-            laid.seed, laid.kind, azimuth_deg=half, elevation_deg=_elevations_deg(model), widths_deg=laid.patches_deg
+            laid.seed,
+            laid.kind,
+            azimuth_deg=half,
+            elevation_deg=(min(rows_deg), max(rows_deg)),
+            widths_deg=laid.patches_deg,
         )
         return cls(field, share, clear, clear * laid.transmission)
 
@@ -184,18 +189,21 @@ def overlay(
     range_m = np.maximum(np.hypot(level_m, offset[:, 2]), np.float32(0.1))
     azimuth, elevation = np.arctan2(offset[:, 1], offset[:, 0]), np.arctan2(offset[:, 2], level_m)
     direction_rad = np.column_stack([azimuth, elevation]).astype(np.float32)
+    # what air and window leave of each point's signal
     window = WindowEffect.draw(model, laid)
     through = window.gain(direction_rad)
     before = np.maximum(intensity / REFERENCE_REFLECTANCE * (model.reference_range_m / range_m) ** 2, _LEAST_SIGNAL)
     alpha = extinction_per_m(laid.weather, model.wavelength_nm) - extinction_per_m(CLEAR_WEATHER, model.wavelength_nm)
     attenuated = (before * np.exp(-2 * alpha * range_m) * through).astype(np.float32)
     echoes = LidarEchoes(range_m, attenuated, np.zeros(len(attenuated), dtype=np.int64))
+    # points survive by the ratio of the probabilities of detection, or are replaced by echoes of the air
     at_m, strength, kind = select_returns(model, laid.weather, echoes, range_m, through, None, rng)
     uniform, surface = rng.random(len(strength), dtype=np.float32), kind == SURFACE
     survives = surface & (uniform < detection_probability(model, strength) / detection_probability(model, before))
     gain = np.where(surface, np.minimum(strength / before, 1), 1).astype(np.float32)
     detected = np.flatnonzero(~surface & (uniform < detection_probability(model, strength) * (1 - model.dropout)))
     from_points = _returns((offset / range_m[:, None])[detected], at_m[detected], strength[detected], model, rng)
+    # shots that hit nothing hear the air alone
     from_sky = _open_sky(direction_rad, model, laid.weather, window, rng)
     points_m, air_intensity = (np.concatenate(pair) for pair in zip(from_points, from_sky, strict=True))
     return WeatheredSweep(survives, gain, points_m + np.array(origin_m, dtype=np.float32), air_intensity)
@@ -221,7 +229,10 @@ def _open_sky(
         at_m[from_law], _ = law.locate(power[from_law], rng.random(len(from_law)))
     shots = shots[at_m[shots] > model.min_range_m]
     attenuated = (power[shots] * window.gain(empty[shots])).astype(np.float32)
-    return _returns(_directions(empty[shots]), at_m[shots], attenuated, model, rng)
+    azimuth, elevation = empty[shots].T
+    across = np.cos(elevation)
+    directions = np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)])
+    return _returns(directions, at_m[shots], attenuated, model, rng)
 
 
 def _loudest(
@@ -247,18 +258,12 @@ def _loudest(
     return laws, source, power, at_m
 
 
-def _elevations_deg(model: LidarModel) -> tuple[float, float]:
-    if model.beams is None:
-        return -model.elevation_deg, model.elevation_deg
-    return min(model.beams.elevation_deg), max(model.beams.elevation_deg)
-
-
 def empty_shots(
     direction_rad: Float32[np.ndarray, "n 2"], model: LidarModel, rng: np.random.Generator
 ) -> Float32[np.ndarray, "m 2"]:
     """Directions of the shots of a frame that brought nothing back.
 
-    Those of a sensor that draws lines stand evenly over its field of view: its pattern is not told by a cloud.
+    Those of a sensor that draws lines stand evenly over its field of view: a cloud does not show its pattern.
 
     Args:
         direction_rad: Azimuth and elevation of the points, shape (n, 2).
@@ -297,12 +302,6 @@ def _grid(model: LidarModel) -> tuple[Float[np.ndarray, "rings columns"], Float[
     offset = np.radians(np.array(model.beams.offset_deg))
     azimuth = np.pi - 2 * np.pi * column / model.columns - offset[:, None]
     return azimuth, np.radians(np.array(model.beams.elevation_deg))
-
-
-def _directions(shot_rad: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 3"]:
-    azimuth, elevation = shot_rad.T
-    across = np.cos(elevation)
-    return np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)])
 
 
 def _returns(

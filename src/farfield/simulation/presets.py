@@ -41,7 +41,7 @@ class Segment:
         road: One of the simulator's roads.
         condition: The weather, one of ``WEATHERS``.
         time: "day" or "night".
-        frames: How many frames are written unless asked otherwise.
+        frames: How many frames are written by default.
         duration_s: How long its traffic lasts.
     """
 
@@ -85,7 +85,7 @@ class Preset:
         name: Its name.
         rig: Name of its rig, one of :data:`farfield.simulation.rig.RIGS`.
         segments: Its sequences; further ones repeat them in turn, each with another world.
-        sensors: What is written unless asked otherwise.
+        sensors: What is written by default.
         stride_s: Time between frames; the sensors themselves turn at 10 Hz.
         seed: Seed unless another is given.
         sizes: Priors of the road users' sizes ("us", "korea", "kitti"); each sequence draws one.

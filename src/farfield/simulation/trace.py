@@ -71,7 +71,8 @@ class Tracer:
         from embreex.mesh_construction import TriangleMesh
 
         self._keep = TriangleMesh(self.scene, vertices, mesh.faces.astype(np.int32))
-        normal = _normals(vertices, mesh.faces)
+        corners = vertices[mesh.faces].astype(np.float64)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
         self._inverse_normal = np.append(1.0 / length, 0.0).astype(np.float32)  # the last for rays that missed
         self.level: Bool[np.ndarray, " f"] = np.abs(normal[:, 2]) > _LEVEL * length
@@ -110,15 +111,9 @@ class Tracer:
         return RayHits(range_m, face, cosine)
 
 
-def _normals(vertices_m: Float32[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "f 3"]:
-    """Cross product of each triangle's sides."""
-    corners = vertices_m[faces].astype(np.float64)
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid thing that rays can hit, and where it is at each knot of a span of time.
+    """A rigid body that rays can hit, and where it is at each knot of a span of time.
 
     Args:
         tracer: Its mesh in its own frame.

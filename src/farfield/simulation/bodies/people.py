@@ -165,7 +165,7 @@ def build_animal(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator, phas
 
 
 def build_object(size_m: Float[np.ndarray, " 3"], rng: np.random.Generator) -> Mesh:
-    """Build a thing of no other class: a loaded hand cart or a skip."""
+    """Build an object of no other class: a loaded hand cart or a skip."""
     parts = [box([1.0, 0.7, 0.1], [0, 0, 0.25], _METAL)]
     parts += [
         tube([x, 0.3 * s - 0.04, 0.1], [x, 0.3 * s + 0.04, 0.1], 0.1, _TYRE) for x in (-0.4, 0.4) for s in (1, -1)

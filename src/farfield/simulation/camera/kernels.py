@@ -282,7 +282,7 @@ def shade(directions, range_m, face, lit, dimmed, mirrored, width, origin, pixel
 @njit(cache=True)
 @no_type_check
 def _wet_mirror(mirror, mirrored, i, width, albedo, glow, sky):
-    """Turn the sky that a wet road mirrors into what stands there, known at one pixel in four of each row."""
+    """Turn the sky that a wet road mirrors into what stands there, cast at one pixel in four of each row."""
     u = i % width
     left = i - (u - first_known(i // width)) % 4
     row = i - u
@@ -364,10 +364,10 @@ def half_of(value):
 @njit(cache=True)
 @no_type_check
 def fill_light(lit, is_sampled, range_m, face, height, width, out):
-    """Spread shadows known at one pixel in four to all.
+    """Spread shadows that were cast at one pixel in four to all.
 
-    Each pixel takes the mean of the known pixels about it that lie at much the same distance, near ones first: those of
-    its own row and the rows above and below, where every row and every column knows one pixel in four.
+    Each pixel takes the mean of the sampled pixels about it that lie at much the same distance, near ones first: those
+    of its own row and the rows above and below, where one pixel in four of every row and every column is sampled.
     """
     for v in range(height):
         for u in range(width):

@@ -228,8 +228,10 @@ def finish(
         window_seed: Draws where the camera's window is dirty; the same for all pictures of a sequence.
     """
     drop_rng, fall_rng, noise_rng = rng.spawn(3)
+    # the lens, and the exposure
     image = spread(image)
     gain = auto_gain(image)
+    # what falls before the camera, light scattered by lens and fog, and what sticks to the window
     for streaks, colours in (_rain(exposure, weather, sky, fall_rng), _snow(exposure, weather, sky, fall_rng)):
         if len(streaks):
             draw_streaks(image, exposure.range_m, streaks, colours)
@@ -237,6 +239,7 @@ def finish(
         _bloom(image, gain, sky)
     _drops(image, weather, drop_rng)
     _ice(image, exposure, weather, window_seed)
+    # the sensor: exposure, vignetting, noise, sRGB
     boost = _NIGHT_NOISE if sky.night else 1.0
     noise = noise_rng.standard_normal(image.shape[0] * image.shape[1], dtype=np.float32)
     return develop(

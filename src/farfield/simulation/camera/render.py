@@ -79,11 +79,14 @@ def radiance(
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
     """The light that reaches each pixel, and how far what it sees is (inf: sky); see ``render``."""
     sky = make_sky(weather)
+    # what each ray hits first
     grid = ray_grid(camera, supersample)
     world_T_camera = world_T_lidar @ invert(camera.camera_T_lidar)
     bodies = place_bodies(window)
     ray_image = cast_image(bodies, grid, world_T_camera)
+    # the light that comes from there
     image = _shade(window, bodies, ray_image, grid, world_T_camera, sky)
+    # rays joined to pixels
     range_m = ray_image.range_m.reshape(grid.height, grid.width)
     if supersample > 1:
         shape = (camera.height_px, supersample, camera.width_px, supersample)

@@ -64,10 +64,6 @@ def visible_extinction(weather: Weather) -> float:
     return haze + rain + (snow_db / float(_DB_PER_KM) if rate > 0 else 0.0)
 
 
-def _f32(*values: float) -> Float32[np.ndarray, " 3"]:
-    return np.array(values, dtype=np.float32)
-
-
 def make_sky(weather: Weather) -> Sky:
     """The light of a weather.
 
@@ -78,7 +74,7 @@ def make_sky(weather: Weather) -> Sky:
     azimuth = np.radians(weather.sun_azimuth_deg)
     up = float(np.sin(elevation))
     level = float(np.cos(elevation))
-    sun = _f32(level * float(np.cos(azimuth)), level * float(np.sin(azimuth)), up)
+    sun = np.array([level * float(np.cos(azimuth)), level * float(np.sin(azimuth)), up], dtype=np.float32)
     night = weather.time == "night"
     cover = float(np.clip(weather.cloud_cover, 0.0, 1.0))
     height = float(np.clip(up / 0.7, 0.08, 1.0))

@@ -110,7 +110,7 @@ def select_returns(
     sprayed: SprayEffect | None,
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, " shots"], Float32[np.ndarray, " shots"], UInt8[np.ndarray, " shots"]]:
-    """Let what hangs and falls in the air compete with the surfaces' echoes: each shot reports the strongest.
+    """Select each shot's return: the strongest of its surface's echo and those of what hangs and falls in the air.
 
     Args:
         model: The sensor.
@@ -130,6 +130,7 @@ def select_returns(
     through = np.ones(len(range_m), dtype=np.float32) if gain is None else gain
 
     offer = partial(_offer, range_m, strength, kind, open_m)
+    # drops and flakes: the strongest of each shot, which also shades the surface
     for particles in falling(weather, model.wavelength_nm):
         law = strongest_particle(particles, beam, extinction)
         power, where = law.strength(rng.random(len(range_m)), least=_WORTH), rng.random(len(range_m))
@@ -139,13 +140,16 @@ def select_returns(
         strength[shots] *= np.where(in_way, 1 - fill, 1.0).astype(np.float32)
         usable = at > model.min_range_m
         offer(shots[usable], at[usable], (power[shots] * through[shots])[usable], PRECIPITATION)
+    # fog: its soft echo from beyond the blanking distance
     if weather.mor_m < FOG_MOR_M:
         soft = soft_echo(beam, haze_extinction_per_m(weather.mor_m, model.wavelength_nm))
         low, high = BLANKING_M
         at, power = soft.beyond(low + (high - low) * rng.random(len(range_m)))
         offer(np.arange(len(range_m)), at, power * through, FOG)
+    # spray
     if sprayed is not None:
-        offer(np.flatnonzero(sprayed.strength > _WORTH), *_heard(sprayed, through), SPRAY)
+        shots = np.flatnonzero(sprayed.strength > _WORTH)
+        offer(shots, sprayed.range_m[shots], (sprayed.strength * through)[shots], SPRAY)
     return range_m, strength, kind
 
 
@@ -163,8 +167,3 @@ def _offer(
     wins = (power > strength[shots]) & (at_m < open_m[shots])
     replaced = shots[wins]
     range_m[replaced], strength[replaced], kind[replaced] = at_m[wins], power[wins], what
-
-
-def _heard(sprayed: SprayEffect, through: Float32[np.ndarray, " shots"]) -> tuple[np.ndarray, np.ndarray]:
-    shots = sprayed.strength > _WORTH
-    return sprayed.range_m[shots], (sprayed.strength * through)[shots]

@@ -72,14 +72,17 @@ def sweep(
         window_seed: What draws the dirt and ice on this sensor's window in this sequence; clean unless given.
     """
     surface_rng, air_rng = rng.spawn(2)
+    # cast every ray; some shots pass through glass
     world_T_sensor = window.world_T_ego @ ego_T_sensor
     casting = NearestHits(scan, window.bodies, world_T_sensor, window.knots_s)
     count = casting.range_m.shape[1]
     passes = np.greater_equal(surface_rng.random(count, dtype=np.float32), model.glass_return)
     casting.see_through(passes)
+    # the strongest echo of each shot, from surfaces and from the air
     surfaces = Surfaces.of(casting, model, weather or DRY)
     now = at_knots(world_T_sensor, window.knots_s, np.zeros(1))[0]
     echoes, kind = _echoes(scan, model, window, casting, surfaces, now, weather, window_seed, air_rng)
+    # detection, and what is written of each return
     returns = measure(model, echoes.range_m, echoes.strength, surface_rng)
     face = surfaces.face[echoes.ray[returns.shot], returns.shot]
     on_surface = kind[returns.shot] == SURFACE
@@ -89,6 +92,7 @@ def sweep(
         diffuse = np.where(on_surface, surfaces.reflectance.diffuse[face], np.float32(0.3))
         extra["ambient"] = ambient_counts(diffuse, _daylight(weather or DRY), air_rng)
     intensity = (np.round(returns.reflectance.clip(0, 1) * 255) / 255).astype(np.float32)
+    # which road user each point lies on, and how many shots were aimed at each
     aimed_at = surfaces.actor[casting.face[0]]
     aimed = np.bincount(
         aimed_at[(aimed_at >= 0) & (casting.range_m[0] < model.max_range_m)], minlength=len(window.actors)

@@ -23,8 +23,8 @@ class RadarFrame:
     """What the radar measured.
 
     Args:
-        tensor: Linear power in file units, shape (Doppler, range, elevation, azimuth); None unless asked for.
-        moments: The tensor reduced over Doppler, for cube and polar map; None unless asked for.
+        tensor: Linear power in file units, shape (Doppler, range, elevation, azimuth); None unless it is an output.
+        moments: The tensor reduced over Doppler, for cube and polar map; None unless it is an output.
         scatterers: What was seen.
         snr_db: Signal over noise of each road user in its best cell, shape (n,); -inf for those never hit.
         masked_db: How far another echo at the same range outshines it, shape (n,); see
@@ -39,12 +39,12 @@ class RadarFrame:
 
     @property
     def power(self) -> Float32[np.ndarray, "r e a"] | None:
-        """Mean power over all Doppler bins, in file units; None unless moments were asked for."""
+        """Mean power over all Doppler bins, in file units; None unless "mean" is among the outputs."""
         return None if self.moments is None else self.moments.mean_power
 
     @property
     def doppler_m_s(self) -> Float32[np.ndarray, "r e a"] | None:
-        """Power-weighted mean velocity over all Doppler bins but the first; None unless moments were asked for."""
+        """Power-weighted mean velocity over all Doppler bins but the first; None unless "mean" is among the outputs."""
         if self.moments is None:
             return None
         return self.moments.velocity_moment / np.maximum(self.moments.mean_power_63, np.float32(1e-30))

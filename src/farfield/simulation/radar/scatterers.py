@@ -52,15 +52,18 @@ def scatterers(
         exponential about its mean).
     """
     streams = rng.spawn(4)
-    reach_m = float(model.axes.range_m[-1])
-    cast = cast_rays(window, world_T_radar, reach_m, streams[0])
+    # rays over the field of view and at every road user, and the mirrors that they hit
+    cast = cast_rays(window, world_T_radar, float(model.axes.range_m[-1]), streams[0])
     mirrors = find_mirrors(cast)
+    # scattering points: surfaces, road users with their limbs, posts of rails, mirror images of road users
     users = _road_users(window, model, world_T_radar, cast)
     parts = [_surfaces(cast, weather), users, posts(mirrors, world_T_radar, streams[1])]
     parts.append(ghosts(users, mirrors, model.ghost_db))
+    # joined where the radar cannot tell them apart, with radial velocities and a power that fluctuates
     velocity_m_s = radar_velocity_m_s(window, world_T_radar) @ world_T_radar[:3, :3]
     echoes = _merged(ScatterPoints.join(parts).seen_from(velocity_m_s), model)
     echoes = replace(echoes, rcs_m2=echoes.rcs_m2 * streams[2].exponential(1.0, len(echoes)))
+    # rain, losses on the way, and the strongest of all
     all_echoes = Scatterers.join([echoes, rain_clutter(weather, model, velocity_m_s, streams[3])])
     all_echoes = replace(all_echoes, loss_db=two_way_loss_db(all_echoes.range_m, weather, model, window.time_s))
     return _strongest(all_echoes, model)
@@ -97,21 +100,16 @@ def _road_users(
         bottom = transform_points(radar_T_world, window.bottom_m[row][None])[0]
         aspect = float(np.arctan2(*(world_T_radar[:3, 3] - window.bottom_m[row])[[1, 0]]) - window.yaw_rad[row])
         level_db = mean_rcs_dbsm(actor, aspect, float(np.linalg.norm(bottom))) + slow_db(actor)
-        body = ScatterPoints.fixed(
-            cast.direction[rays] * cast.own_range_m[rays, None], _weights(cast, rays), ScattererKind.OBJECT
-        )
+        # its cross section is shared by equal angles: more from bare metal and from faces turned to the radar
+        share = part_share(cast.own_material[rays]) * cast.solid_angle_sr[rays] * (0.1 + cast.own_cosine[rays] ** 2)
+        share = np.asarray(share / share.sum())
+        body = ScatterPoints.fixed(cast.direction[rays] * cast.own_range_m[rays, None], share, ScattererKind.OBJECT)
         body = replace(body, rcs_m2=body.rcs_m2 * 10 ** (level_db / 10), actor=np.full(len(rays), row))
         moving_body = replace(body, velocity_m_s=_body_velocity(window, cast.own_body[rays], body, world_T_radar))
         parts += _visible_and_hidden(
             window, model, cast, rays, moving_body, actor, int(row), float(bottom[2]), radar_T_world
         )
     return ScatterPoints.join(parts)
-
-
-def _weights(cast: CastRays, rays: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Shares of a body's cross section: equal angles, more from bare metal and from faces turned to the radar."""
-    share = part_share(cast.own_material[rays]) * cast.solid_angle_sr[rays] * (0.1 + cast.own_cosine[rays] ** 2)
-    return np.asarray(share / share.sum())
 
 
 def _body_velocity(

@@ -117,7 +117,11 @@ def polar_picture(
             gain = along * 2.0 ** -(off**2)  # two ways of power: once the amplitude of 2 ** -(2 off ** 2)
             inside = (row >= 0) & (row < _RANGES)
             cell = row[inside] * _AZIMUTHS + column[inside] % _AZIMUTHS
-            field_ += _summed(cell, (gain * echo)[inside])
+            amplitude = (gain * echo)[inside]
+            real, imaginary = (
+                np.bincount(cell, part, minlength=len(field_)) for part in (amplitude.real, amplitude.imag)
+            )
+            field_ += real + 1j * imaginary
     power = np.abs(field_.reshape(POLAR_SHAPE) + _noise(radar, rng)) ** 2
     floor_db = 10 * np.log10(np.log(2.0))  # the median of exponential power
     counts = radar.floor_count + (10 * np.log10(np.maximum(power, 1e-12)) - floor_db) / radar.count_db
@@ -127,12 +131,6 @@ def polar_picture(
 def strengths(echoes: Scatterers, radar: TurningRadar) -> Float64[np.ndarray, " n"]:
     """Signal over noise of each scatterer, in axes whose x looks along its sector's middle."""
     return cell_snr(echoes, radar.echoes)
-
-
-def _summed(cell: np.ndarray, echo: np.ndarray) -> np.ndarray:
-    size = _RANGES * _AZIMUTHS
-    real, imaginary = (np.bincount(cell, part, minlength=size) for part in (echo.real, echo.imag))
-    return real + 1j * imaginary
 
 
 def _noise(radar: TurningRadar, rng: np.random.Generator) -> np.ndarray:

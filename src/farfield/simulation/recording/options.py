@@ -206,3 +206,7 @@ def spread(total: int, capacity: list[int]) -> list[int]:
             share = remaining // len(unfilled) + (rank < remaining % len(unfilled))
             plan[i] = min(plan[i] + share, capacity[i])
     return plan
+
+
+def silent(line: str) -> None:
+    """Report nothing: the default of ``report``."""

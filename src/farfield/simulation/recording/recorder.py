@@ -12,7 +12,7 @@ from farfield.jobs import JobOptions, JobRun, Unit
 from farfield.jobs.journal import mark_of, state_of
 from farfield.jobs.runs import Progress
 from farfield.simulation.recording.frames import Simulate, bytes_needed, check_disk, claim, journal_of, units_of
-from farfield.simulation.recording.options import Recording, RecordingOptions
+from farfield.simulation.recording.options import Recording, RecordingOptions, silent
 from farfield.simulation.rig import RIGS
 from farfield.vocabulary.conditions import Side
 
@@ -76,7 +76,7 @@ def record_frames(
     options: RecordingOptions, *, progress: Progress = iter, report: Callable[[str], object] | None = None
 ) -> RecordingSummary:
     """As :func:`record`, with all options in one object; ``raw`` is for ``recording.raw``."""
-    report = report or _silent
+    report = report or silent
     recording = options.resolve()
     jobs = JobOptions(workers=options.workers, engine=options.engine, progress=progress)
     work, units = Simulate(recording), units_of(recording)
@@ -113,10 +113,6 @@ def record_frames(
     for line in concluded(recording, verdicts):
         report(line)
     return RecordingSummary(recording=recording, verdicts=verdicts)
-
-
-def _silent(line: str) -> None:
-    """Report nothing."""
 
 
 def announced(recording: Recording, count: int, processes: int) -> Iterator[str]:

@@ -39,7 +39,7 @@ _LEAST_SNR_DB = 13.0
 TURN_MIDDLE_S = 0.1
 """How long after its own time a turn is at its middle: the first one begins when the sequence has begun."""
 RADAR_SHARE = 0.02
-"""Share of the picture's cells that the cloud gets, as RADIATE's reader gives it unless asked otherwise."""
+"""Share of the picture's cells that the cloud gets, the default of RADIATE's reader."""
 
 
 class RadiateFrame(SimulatedFrame):

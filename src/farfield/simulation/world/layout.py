@@ -27,7 +27,7 @@ class FixedObject:
     """One fixed object: where along the road it belongs, and what builds it."""
 
     s_m: float
-    build: Callable[[np.random.Generator], Mesh]
+    build: Callable[[], Mesh]
 
 
 @dataclass(eq=False)
@@ -58,7 +58,7 @@ class RoadLayout:
         inner = [s for s in self.breaks_m if first < s < last]
         rows = np.unique(np.concatenate([np.linspace(first, last, 26), inner]))
         parts = [self.land.strips(rows), self.land.beyond(first, last), *(build(rows) for build in self.running)]
-        parts += [fixed.build(rng) for fixed in self.placements if first <= fixed.s_m < last]
+        parts += [fixed.build() for fixed in self.placements if first <= fixed.s_m < last]
         return Mesh.merge([part.painted(rng) for part in parts if len(part.faces)])
 
 
@@ -121,7 +121,7 @@ class Roadside:
 
     def add(self, build: "partial[Mesh]", s_m: float) -> None:
         """Add an object that knows its place in the world."""
-        self.layout.placements.append(FixedObject(s_m, partial(_undrawn, build)))
+        self.layout.placements.append(FixedObject(s_m, build))
 
     def stations(self, pitch_m: float, *, jitter_m: float = 0.0) -> Float[np.ndarray, " n"]:
         """Stations at regular distances over the whole stretch, from a random beginning."""
@@ -168,11 +168,6 @@ class Roadside:
         """A building whose front stands at a distance from the reference line."""
         model = furniture.building(length_m, depth_m, height_m, self.rng)
         self.put(model, s_m, side * d_m, turn_rad=0.0 if side > 0 else np.pi)
-
-
-def _undrawn(build: "partial[Mesh]", _: np.random.Generator) -> Mesh:
-    """What needs no chance."""
-    return build()
 
 
 def _wall(

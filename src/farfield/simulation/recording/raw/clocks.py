@@ -113,7 +113,7 @@ class SensorStream:
     fired: int
 
     def truth(self, epoch_ns: int) -> dict[str, Any]:
-        """All that is known of it, as JSON takes it."""
+        """Its clock, phase, delays, losses and true times, as JSON takes them."""
         kind = KINDS[self.name]
         lost = np.setdiff1d(np.arange(self.fired), self.number)
         return {
@@ -146,7 +146,7 @@ class Schedule:
 
 
 def schedule(drive: SimulatedDrive, sweeps: int, names: tuple[str, ...]) -> Schedule:
-    """Draw the clocks of a drive and let its streams run: the same for the same drive, whatever streams are asked for.
+    """Draw the clocks of a drive and let its streams run: the same for the same drive, whatever streams are recorded.
 
     Args:
         drive: The drive.

@@ -21,7 +21,7 @@ from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.jobs.folders import STAGING
 from farfield.jobs.runs import Progress
 from farfield.simulation.recording.frames import JOURNAL_NAME, claim
-from farfield.simulation.recording.options import SWEEP_PERIOD_S, Recording, RecordingOptions
+from farfield.simulation.recording.options import SWEEP_PERIOD_S, Recording, RecordingOptions, silent
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
@@ -90,7 +90,7 @@ def record_raw(
     """As :func:`record_streams`, with all options in one object, of which ``raw`` is set."""
     from farfield.files.bag_writing import store
 
-    report = report or _silent
+    report = report or silent
     store()  # fails at once if rosbags is missing
     recording = options.resolve()
     units, work = units_of(recording), RecordStreams(recording)
@@ -119,10 +119,6 @@ def record_raw(
     journal.finish()
     report(f"wrote {outcome.written} files, {len(bags)} bags and what is known of them into {recording.out}")
     return RawRecorded(recording=recording, written=outcome.written, bags=tuple(bags), truths=tuple(truths))
-
-
-def _silent(line: str) -> None:
-    """Report nothing."""
 
 
 def _announce(recording: Recording, missing: int, count: int, report: Callable[[str], object]) -> None:
