@@ -7,8 +7,7 @@ import pytest
 
 from farfield.api import open_dataset
 from farfield.errors import DatasetError, FileFormatError
-from farfield.files.kitti import read_raw_calib
-from farfield.files.kitti import read_record
+from farfield.files.kitti import read_raw_calib, read_record
 from farfield.geometry.boxes import count_points_in_boxes
 
 DRIVE = "2011_09_26/2011_09_26_drive_0009_sync"

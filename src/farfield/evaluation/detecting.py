@@ -12,31 +12,15 @@ from jaxtyping import Int
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.memory import in_memory
-from farfield.detectors.info import DescribedDetector
-from farfield.detectors.info import DetectorFunction
-from farfield.detectors.info import as_detector
+from farfield.detectors.info import DescribedDetector, DetectorFunction, as_detector
 from farfield.errors import DatasetError
-from farfield.evaluation.leakage import leakage_warning
-from farfield.evaluation.leakage import seen_in_training
-from farfield.evaluation.views import as_trained
-from farfield.evaluation.views import motion
-from farfield.evaluation.views import suitable_clouds
-from farfield.files.disk_dict import DiskDict
-from farfield.files.disk_dict import alike
-from farfield.frame import Annotation
-from farfield.frame import Boxes
-from farfield.frame import Cloud
-from farfield.frame import Frame
-from farfield.frame import Key
+from farfield.evaluation.leakage import leakage_warning, seen_in_training
+from farfield.evaluation.views import as_trained, motion, suitable_clouds
+from farfield.files.disk_dict import DiskDict, alike
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Key
 from farfield.frame.provenance import environment
-from farfield.geometry.boxes import BOX_MARGIN_M
-from farfield.geometry.boxes import count_points_in_boxes
-from farfield.jobs import JobJournal
-from farfield.jobs import JobOptions
-from farfield.jobs import Unit
-from farfield.jobs import UnitResult
-from farfield.jobs import run
-from farfield.jobs import values
+from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes
+from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run, values
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
 from farfield.metrics.result import digest_of

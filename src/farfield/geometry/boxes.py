@@ -19,13 +19,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from farfield.errors import ConfigError
-from farfield.files.boxes_csv import columns_of
-from farfield.files.boxes_csv import fields_of
-from farfield.files.boxes_csv import read_fields
-from farfield.files.boxes_csv import rows_of
-from farfield.files.boxes_csv import write_fields
-from farfield.registry import display_html
-from farfield.registry import named
+from farfield.files.boxes_csv import columns_of, fields_of, read_fields, rows_of, write_fields
+from farfield.registry import display_html, named
 
 _CORNER_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) / 2.0
 

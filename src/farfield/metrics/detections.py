@@ -16,10 +16,8 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from jaxtyping import Bool, Shaped
 
-from farfield.errors import ConfigError
-from farfield.errors import FarfieldError
-from farfield.files.disk_dict import MappedView
-from farfield.files.disk_dict import alike
+from farfield.errors import ConfigError, FarfieldError
+from farfield.files.disk_dict import MappedView, alike
 from farfield.frame.annotation import Annotation, CameraField
 from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes

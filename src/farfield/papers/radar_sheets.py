@@ -17,8 +17,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.inspection.radar_frame import RadarLook
 from farfield.metrics.centre.matching import found_by
 from farfield.pages.template import PageImage
-from farfield.radar.axes import CUBE_X_M
-from farfield.radar.axes import CUBE_Y_M
+from farfield.radar.axes import CUBE_X_M, CUBE_Y_M
 from farfield.radar.views import NEAREST_M
 from farfield.vocabulary.scores import SHOWN_SCORE
 

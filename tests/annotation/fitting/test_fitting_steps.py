@@ -5,19 +5,11 @@ import pytest
 from fitting_scenes import CAR, road, scene, sides
 
 from farfield.annotation.fitting import prior_of
-from farfield.annotation.fitting.boxes import cluster_at
-from farfield.annotation.fitting.boxes import link_radius_m
-from farfield.annotation.fitting.ground import fit_ground
-from farfield.annotation.fitting.ground import points_above
-from farfield.annotation.fitting.prior import Prior
-from farfield.annotation.fitting.prior import along_length
-from farfield.annotation.fitting.prior import footprint
-from farfield.annotation.fitting.search import best_yaw
-from farfield.annotation.fitting.search import refine_yaw
-from farfield.annotation.fitting.search import scores
-from farfield.annotation.fitting.search import search
-from farfield.vocabulary.classes import SMALL_KINDS
-from farfield.vocabulary.classes import VEHICLE_KINDS
+from farfield.annotation.fitting.boxes import cluster_at, link_radius_m
+from farfield.annotation.fitting.ground import fit_ground, points_above
+from farfield.annotation.fitting.prior import Prior, along_length, footprint
+from farfield.annotation.fitting.search import best_yaw, refine_yaw, scores, search
+from farfield.vocabulary.classes import SMALL_KINDS, VEHICLE_KINDS
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.04])

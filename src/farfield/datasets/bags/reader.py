@@ -13,14 +13,8 @@ from farfield.datasets.bags.transforms import Transforms
 from farfield.datasets.base import Dataset, Indices, Poses, all_poses
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
-from farfield.files.sensor_messages import read_points
-from farfield.files.sensor_messages import read_ros_compressed
-from farfield.files.sensor_messages import read_ros_image
-from farfield.frame import Cloud
-from farfield.frame import Frame
-from farfield.frame import Lazy
-from farfield.frame import Sensor
-from farfield.frame import camera_sensor
+from farfield.files.sensor_messages import read_points, read_ros_compressed, read_ros_image
+from farfield.frame import Cloud, Frame, Lazy, Sensor, camera_sensor
 
 CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
 COMPRESSED, IMU = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu"

@@ -13,37 +13,21 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.datasets.base import Dataset
-from farfield.datasets.base import Indices
-from farfield.datasets.kitti.boxes import annotation_of
-from farfield.datasets.kitti.boxes import boxes_from_objects
-from farfield.datasets.kitti.boxes import camera_from_calib
-from farfield.datasets.kitti.boxes import objects_from_boxes
-from farfield.datasets.kitti.boxes import sized_camera
-from farfield.errors import ConfigError
-from farfield.errors import DatasetError
-from farfield.errors import FileFormatError
+from farfield.datasets.base import Dataset, Indices
+from farfield.datasets.kitti.boxes import (
+    annotation_of,
+    boxes_from_objects,
+    camera_from_calib,
+    objects_from_boxes,
+    sized_camera,
+)
+from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.atomic import write_text
-from farfield.files.clouds import bin_columns
-from farfield.files.clouds import names_of
-from farfield.files.clouds import read_bin
-from farfield.files.clouds import write_bin
-from farfield.files.images import read_image
-from farfield.files.images import write_image
-from farfield.files.kitti import read_calib
-from farfield.files.kitti import read_labels
-from farfield.files.kitti import write_labels
-from farfield.frame import Annotation
-from farfield.frame import Boxes
-from farfield.frame import Camera
-from farfield.frame import CameraField
-from farfield.frame import Cloud
-from farfield.frame import Frame
-from farfield.frame import Lazy
-from farfield.frame import Sensor
-from farfield.frame import camera_sensor
-from farfield.frame.cloud import columns_shown
-from farfield.frame.cloud import read_cloud
+from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
+from farfield.files.images import read_image, write_image
+from farfield.files.kitti import read_calib, read_labels, write_labels
+from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
 _IMAGE_SUFFIXES = (".png", ".jpg")

@@ -14,9 +14,7 @@ from farfield.frame import Boxes, Camera, Cloud
 from farfield.inspection.doctor.conventions import count_points, ground_height_m
 from farfield.inspection.doctor.survey import Finding, Survey, counted
 from farfield.metrics.sanity import meant_by
-from farfield.vocabulary.classes import CIRRUS_CLASSES
-from farfield.vocabulary.classes import normalised_class
-from farfield.vocabulary.classes import unit_of_sizes
+from farfield.vocabulary.classes import CIRRUS_CLASSES, normalised_class, unit_of_sizes
 
 _LARGEST_VALUE, _MOST_RINGS, _RING_NAMES = 1e20, 1024, ("ring", "laser", "line", "channel")
 RANGE_BINS_M = (0.0, 70.0, 150.0, 250.0, np.inf)

@@ -10,9 +10,7 @@ from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.atomic import write_text
 from farfield.files.images import write_animation
-from farfield.studio.exports import ExportedFile
-from farfield.studio.exports import MOST_FRAMES
-from farfield.studio.exports import standalone
+from farfield.studio.exports import MOST_FRAMES, ExportedFile, standalone
 from farfield.studio.messages import requests
 from farfield.studio.messages.replies import FrameState, Job
 from farfield.studio.messages.rows import Layer

@@ -10,14 +10,7 @@ from jaxtyping import Float
 from farfield.annotation.fitting.radar import peak_near
 from farfield.frame import Frame
 from farfield.geometry.poses import invert
-from farfield.radar.axes import CUBE_SHAPE
-from farfield.radar.axes import CUBE_STEP_M
-from farfield.radar.axes import CUBE_X_M
-from farfield.radar.axes import CUBE_Y_M
-from farfield.radar.axes import CUBE_Z_M
-from farfield.radar.axes import KRADAR_AXES
-from farfield.radar.axes import OUTSIDE
-from farfield.radar.axes import POWER_UNIT
+from farfield.radar.axes import CUBE_SHAPE, CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, KRADAR_AXES, OUTSIDE, POWER_UNIT
 from farfield.radar.cells import RadarCells
 from farfield.radar.views import bev_2d, bfs_2d, decibel, polar_views
 from farfield.studio.messages.rows import Grid, LayerKind, Polar
