@@ -94,12 +94,12 @@ class Boxes:
             raise ValueError(f"Boxes.size_m: expected positive sizes, got {self.size_m[row]} in row {row}")
 
     def _store(self, name: str, value: Any, dtype: Any, shape: tuple[int, ...], *, nan: bool = False) -> None:
-        given = np.asarray(value)
-        if given.shape != shape:
-            raise ValueError(f"Boxes.{name}: expected shape {shape}, got {given.shape}")
-        if dtype is np.int64 and given.size and given.dtype.kind not in "iu":
-            raise ValueError(f"Boxes.{name}: expected whole numbers, got dtype {given.dtype}")
-        array = given.astype(dtype, copy=False)
+        values = np.asarray(value)
+        if values.shape != shape:
+            raise ValueError(f"Boxes.{name}: expected shape {shape}, got {values.shape}")
+        if dtype is np.int64 and values.size and values.dtype.kind not in "iu":
+            raise ValueError(f"Boxes.{name}: expected whole numbers, got dtype {values.dtype}")
+        array = values.astype(dtype, copy=False)
         if array.dtype.kind == "f" and not (valid := np.isfinite(array) | (nan & np.isnan(array))).all():
             row = int(np.argwhere(~valid)[0][0])
             kind = "finite numbers or NaN" if nan else "finite numbers"

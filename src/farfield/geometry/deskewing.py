@@ -62,8 +62,8 @@ class PoseTrack:
                 f"{int(self.times_ns[-1])} ns, got {worst} ns"
             )
         row = np.clip(np.searchsorted(self.times_ns, times_ns, side="right") - 1, 0, len(self.times_ns) - 2)
-        used, which = np.unique(row, return_inverse=True)
-        before, after = self.world_T_sensor[used], self.world_T_sensor[used + 1]
+        segment_rows, which = np.unique(row, return_inverse=True)
+        before, after = self.world_T_sensor[segment_rows], self.world_T_sensor[segment_rows + 1]
         twist = logarithm(np.linalg.inv(before) @ after)[which]
         step = self.times_ns[row + 1] - self.times_ns[row]
         share = (times_ns - self.times_ns[row]) / step
@@ -113,12 +113,12 @@ def deskew(
     ref_T_column = np.broadcast_to(np.eye(4), (len(columns), 4, 4)).copy()
     if covered.any():
         ref_T_column[covered] = ref_T_world @ track.at(columns[covered])
-    moved = np.empty((len(points_m), 3), dtype=np.float64)
+    deskewed = np.empty((len(points_m), 3), dtype=np.float64)
     for begin in range(0, len(points_m), 1 << 16):  # bounds the matrices that are gathered
         part = slice(begin, begin + (1 << 16))
         matrix = ref_T_column[which[part]]
-        moved[part] = np.einsum("nij,nj->ni", matrix[:, :3, :3], points_m[part]) + matrix[:, :3, 3]
-    return DeskewedSweep(moved.astype(points_m.dtype), int((~covered)[which].sum()))
+        deskewed[part] = np.einsum("nij,nj->ni", matrix[:, :3, :3], points_m[part]) + matrix[:, :3, 3]
+    return DeskewedSweep(deskewed.astype(points_m.dtype), int((~covered)[which].sum()))
 
 
 def deskew_boxes(
@@ -150,7 +150,7 @@ def deskew_boxes(
     if boxes.velocity_m_s is None:
         raise ConfigError("deskew_boxes: expected boxes with velocities, got none. Track them first (farfield track).")
     later_s = (point_times_ns - reference_ns) / 1e9
-    moved, nearest = points_m.astype(np.float64), np.full(len(points_m), np.inf)
+    deskewed, nearest = points_m.astype(np.float64), np.full(len(points_m), np.inf)
     longest_s = float(np.abs(later_s).max(initial=0.0))
     for row in np.flatnonzero(np.isfinite(boxes.velocity_m_s).all(axis=1)):
         velocity = np.append(boxes.velocity_m_s[row], 0.0)[:3]
@@ -159,5 +159,5 @@ def deskew_boxes(
         back = points_m[near] - later_s[near, None] * velocity
         away = np.linalg.norm(back - boxes.centre_m[row], axis=1)
         inside = inside_box(back, boxes, int(row), margin_m=margin_m) & (away < nearest[near])
-        moved[near[inside]], nearest[near[inside]] = back[inside], away[inside]
-    return moved.astype(points_m.dtype)
+        deskewed[near[inside]], nearest[near[inside]] = back[inside], away[inside]
+    return deskewed.astype(points_m.dtype)

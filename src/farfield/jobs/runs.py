@@ -46,8 +46,8 @@ class JobOptions:
             BulkError: If the memory does not suffice.
         """
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        wanted = min(self.workers, units) if self.workers else min(cores, units // _WORTH)
-        return fitting(max(1, wanted), getattr(work, "memory_bytes", 0), exactly=self.workers > 0)
+        workers = min(self.workers, units) if self.workers else min(cores, units // _WORTH)
+        return fitting(max(1, workers), getattr(work, "memory_bytes", 0), exactly=self.workers > 0)
 
 
 HERE = JobOptions()

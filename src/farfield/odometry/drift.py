@@ -101,8 +101,8 @@ def drift_of(
     Returns:
         None where the drive is shorter than 10 m.
     """
-    length, place, turn = differences(forward, backward, breaks=breaks)
-    if not len(place):
+    length, position_error, turn_error = differences(forward, backward, breaks=breaks)
+    if not len(position_error):
         return None
-    place_m, turn_deg = (float(np.sqrt((values**2).mean() / 2)) for values in (place, turn))
-    return Drift(length, place_m, turn_deg, len(place))
+    place_m, turn_deg = (float(np.sqrt((values**2).mean() / 2)) for values in (position_error, turn_error))
+    return Drift(length, place_m, turn_deg, len(position_error))

@@ -161,7 +161,7 @@ def _of_bag(path: Path, stamp: Stamp) -> RecordedStreams:
             )
             streams[topic] = StampSource(
                 blocks=partial(iter, [times[order]]),
-                labels=[str(place) for place in order] if misordered else None,
+                labels=[str(row) for row in order] if misordered else None,
                 note=note,
                 arrived_ns=None if times is topic_stamps.log_ns else topic_stamps.log_ns[order],
             )

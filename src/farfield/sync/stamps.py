@@ -166,9 +166,9 @@ def apart(streams: Mapping[str, StreamStats], reference: str, tolerance_ns: int)
             reasons[name] = f"{name} has no stamps"
         elif other.first_ns > own.last_ns + tolerance_ns or other.last_ns < own.first_ns - tolerance_ns:
             by_s = (other.first_ns - own.first_ns) / 1e9
-            word = "after" if by_s > 0 else "before"
+            relation = "after" if by_s > 0 else "before"
             reasons[name] = (
-                f"{name} does not overlap with {reference}: it begins {abs(by_s):.3f} s {word} it and shares no "
+                f"{name} does not overlap with {reference}: it begins {abs(by_s):.3f} s {relation} it and shares no "
                 "moment; its clock is another one, or it was recorded apart"
             )
     return reasons

@@ -53,7 +53,7 @@ class StampStream:
     Args:
         name: Its name.
         blocks: Its stamps, block by block.
-        seen: Called with each block before anything is left out.
+        on_block: Called with each block before anything is left out.
 
     Attributes:
         times_ns: Stamps read and not yet done with.
@@ -64,7 +64,7 @@ class StampStream:
 
     name: str
     blocks: Iterator[Stamps]
-    seen: Callable[[str, Stamps], None] | None = None
+    on_block: Callable[[str, Stamps], None] | None = None
     times_ns: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     places: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     read: int = 0
@@ -83,8 +83,8 @@ class StampStream:
         if block is None:
             self.ended = True
             return
-        if self.seen is not None:
-            self.seen(self.name, block)
+        if self.on_block is not None:
+            self.on_block(self.name, block)
         index = np.arange(self.read, self.read + len(block), dtype=np.int64)
         self.read += len(block)
         if not len(block):
@@ -107,7 +107,7 @@ def match_blocks(
     *,
     reference: str,
     tolerance_ns: int | Mapping[str, int],
-    seen: Callable[[str, Int64[np.ndarray, " _"]], None] | None = None,
+    on_block: Callable[[str, Int64[np.ndarray, " _"]], None] | None = None,
 ) -> Iterator[MatchBlock]:
     """Match streams that come in blocks to one of them.
 
@@ -117,7 +117,7 @@ def match_blocks(
         streams: Blocks of int64 nanoseconds of each stream.
         reference: The stream to which the others are matched.
         tolerance_ns: Largest distance, for all or of each other stream.
-        seen: Called with the name and each block as it is read.
+        on_block: Called with the name and each block as it is read.
 
     Yields:
         Rows of the table.
@@ -126,7 +126,7 @@ def match_blocks(
         ConfigError: If there is no such stream, or a tolerance is negative or missing.
     """
     check(streams, reference, None)
-    opened = {name: StampStream(name, iter(blocks), seen) for name, blocks in streams.items()}
+    opened = {name: StampStream(name, iter(blocks), on_block) for name, blocks in streams.items()}
     names = [name for name in streams if name != reference]
     tolerances_ns = tolerance_ns if isinstance(tolerance_ns, Mapping) else dict.fromkeys(names, tolerance_ns)
     if missing := [name for name in names if tolerances_ns.get(name, -1) < 0]:

@@ -331,7 +331,7 @@ class MatchTable:
 
     def __init__(self, handle: BinaryIO, reference: str, labels: Mapping[str, Sequence[str]]) -> None:
         self.handle, self.reference, self.begun = handle, reference, False
-        self.labels = {name: _texts(words) for name, words in labels.items()}
+        self.labels = {name: _texts(names) for name, names in labels.items()}
 
     def add(self, others: Sequence[str], rows: MatchBlock) -> None:
         """Write some rows; the header comes before the first."""
@@ -352,15 +352,15 @@ class MatchTable:
 
     def _named(self, stream: str, index: Int64[np.ndarray, " n"]) -> Text:
         """The messages' names; nothing where there is none."""
-        words = self.labels.get(stream)
-        text = integers(np.maximum(index, 0)) if words is None else words[np.maximum(index, 0)]
+        names = self.labels.get(stream)
+        text = integers(np.maximum(index, 0)) if names is None else names[np.maximum(index, 0)]
         text[index < 0] = 0
         return text
 
 
-def _texts(words: Sequence[str]) -> Text:
+def _texts(names: Sequence[str]) -> Text:
     """Words as rows of codes; commas and line ends, which a table has no room for, become low lines."""
-    plain = [word.translate({ord(","): "_", ord("\n"): "_", ord("\r"): "_"}).encode() for word in words]
+    plain = [name.translate({ord(","): "_", ord("\n"): "_", ord("\r"): "_"}).encode() for name in names]
     lines = np.array(plain or [b"0"], dtype=np.bytes_)
     return lines.view(np.uint8).reshape(len(lines), -1)
 
