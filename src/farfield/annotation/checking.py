@@ -231,12 +231,12 @@ def check(
     """
     valid = [label for label in boxes if is_valid(label.box)]
     issues = chain(
-        broken(boxes, frame, settings),
-        sizes(valid, frame, settings),
+        impossible_boxes(boxes, frame, settings),
+        unusual_sizes(valid, frame, settings),
         overlaps(valid, frame, settings),
-        twice(boxes, frame, settings),
-        courses(valid, frame, track, settings),
-        points(valid, frame, settings),
+        duplicate_tracks(boxes, frame, settings),
+        track_checks(valid, frame, track, settings),
+        point_checks(valid, frame, settings),
         disagreements(valid, frame, settings),
     )
     reasons = ignored or {}
@@ -251,7 +251,7 @@ def _rank(finding: LabelIssue) -> tuple[bool, int]:
 # One box by itself, and the boxes of a frame among each other
 
 
-def finding(scene: CheckedFrame, label: BoxLabel, check: str, severity: Severity, sentence: str) -> LabelIssue:
+def box_issue(scene: CheckedFrame, label: BoxLabel, check: str, severity: Severity, sentence: str) -> LabelIssue:
     """A finding about a box."""
     xy_m = (label.box[0], label.box[1])
     return LabelIssue(
@@ -264,7 +264,7 @@ def is_valid(box: Numbers) -> bool:
     return all(map(math.isfinite, box)) and min(box[3:6]) > 0
 
 
-def broken(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
+def impossible_boxes(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Labels that cannot be: not finite, without a size, or where no sensor sees."""
     for label in boxes:
         if not is_valid(label.box):
@@ -276,15 +276,15 @@ def broken(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Itera
         x, y = label.box[:2]
         range_m = math.hypot(x, y)
         if range_m > settings.farthest_m:
-            yield finding(
+            yield box_issue(
                 scene, label, "broken", "error", f"{label.label}: {range_m:.0f} m away, farther than can be seen."
             )
         elif settings.views and not any(view.sees(x, y) for view in settings.views):
             sensors = ", ".join(view.sensor for view in settings.views)
-            yield finding(scene, label, "broken", "error", f"{label.label}: outside what {sensors} can see.")
+            yield box_issue(scene, label, "broken", "error", f"{label.label}: outside what {sensors} can see.")
 
 
-def sizes(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
+def unusual_sizes(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Sizes that the class seldom or never has."""
     for label in boxes:
         range_of_class = settings.sizes.get(label.label)
@@ -292,7 +292,7 @@ def sizes(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterat
             continue
         fault = _size_fault(label.box[3:6], range_of_class, settings.size_ratio)
         if fault:
-            yield finding(scene, label, "size", "warning", f"{label.label}: {fault}")
+            yield box_issue(scene, label, "size", "warning", f"{label.label}: {fault}")
 
 
 _AXES = ("length", "width", "height")
@@ -319,23 +319,23 @@ def overlaps(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Ite
     """Labels that stand in each other, seen from above: one finding a pair, at the later of the two."""
     if len(boxes) < 2:
         return
-    iou = np.triu(pairwise_iou(as_set(boxes), as_set(boxes), kind="bev"), 1)
+    iou = np.triu(pairwise_iou(to_boxes(boxes), to_boxes(boxes), kind="bev"), 1)
     for row, column in np.argwhere(iou > settings.overlap_iou).tolist():
         first, second, overlap = boxes[row], boxes[column], iou[row, column]
         duplicate = overlap > settings.duplicate_iou
         verb = "are one object twice" if duplicate else "stand in each other"
         sentence = f"{second.label} {second.track} and {first.label} {first.track} {verb} (IoU {overlap:.2f})."
-        yield finding(scene, second, "overlap", "error" if duplicate else "warning", sentence)
+        yield box_issue(scene, second, "overlap", "error" if duplicate else "warning", sentence)
 
 
-def as_set(boxes: Labels) -> Boxes:
+def to_boxes(boxes: Labels) -> Boxes:
     """Labels as boxes."""
     table = np.array([label.box for label in boxes], dtype=np.float64).reshape(-1, 7)
     names = [label.label for label in boxes]
     return Boxes(centre_m=table[:, :3], size_m=table[:, 3:6], yaw_rad=table[:, 6], label=names)
 
 
-def twice(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
+def duplicate_tracks(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """Two boxes of one frame with the same track ID and class; reported for all but the first."""
     del settings
     counts: Counter[tuple[str, str]] = Counter()
@@ -343,7 +343,7 @@ def twice(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterat
         counts[label.track, label.label] += 1
         if label.track and counts[label.track, label.label] > 1:
             sentence = f"{label.label} {label.track} is there twice in this frame."
-            yield finding(scene, label, "twice", "error", sentence)
+            yield box_issue(scene, label, "twice", "error", sentence)
 
 
 # A track in the frames around: size, turn, jump, speed, gaps, length
@@ -355,7 +355,7 @@ FASTEST_M_S = 60.0
 Courses = Mapping[str, NearbyTrack]
 
 
-def courses(boxes: Labels, scene: CheckedFrame, tracks: Courses, settings: CheckSettings) -> Iterator[LabelIssue]:
+def track_checks(boxes: Labels, scene: CheckedFrame, tracks: Courses, settings: CheckSettings) -> Iterator[LabelIssue]:
     """All checks of the tracks that are in the frame."""
     for label in boxes:
         course = tracks.get(label.track) if label.track else None
@@ -366,7 +366,7 @@ def courses(boxes: Labels, scene: CheckedFrame, tracks: Courses, settings: Check
             continue
         if course.frames < settings.shortest_track:
             sentence = f"{label.label} {label.track} is in {course.frames} frames only."
-            yield finding(scene, label, "short", "info", sentence)
+            yield box_issue(scene, label, "short", "info", sentence)
         yield from _jump(label, course, step, scene, settings)
         if step > 0:
             yield from _changes_since(label, course, step, scene, settings)
@@ -380,26 +380,26 @@ def _changes_since(
     name, missing = f"{label.label} {label.track}", now.row - before.row - 1
     if 1 <= missing <= settings.longest_gap:
         gap = "is missing in the frame before" if missing == 1 else f"is missing in the {missing} frames before"
-        yield finding(scene, label, "gap", "warning", f"{name} {gap}.")
+        yield box_issue(scene, label, "gap", "warning", f"{name} {gap}.")
     change = max(abs(a / b - 1) for a, b in zip(now.box[3:6], before.box[3:6], strict=True))
     if change > settings.track_size and not course.locked:
         severity: Severity = "warning" if change > settings.track_size_far else "info"
-        yield finding(scene, label, "track_size", severity, f"{name} changes its size by {change:.0%}; lock it?")
+        yield box_issue(scene, label, "track_size", severity, f"{name} changes its size by {change:.0%}; lock it?")
     time_s = max(now.time_s - before.time_s, 1e-3)
     turn_rad = abs(turn_angle(before.box[6], now.box[6]))
     if turn_rad > settings.flip_rad:
         sentence = (
             f"{name} turns by {math.degrees(turn_rad):.0f} degrees in {time_s:.1f} s: front and back are swapped."
         )
-        yield finding(scene, label, "turn", "error", sentence)
+        yield box_issue(scene, label, "turn", "error", sentence)
     elif turn_rad > min(settings.turn_rad * max(1.0, time_s / FRAME_S), math.pi / 2):
-        yield finding(
+        yield box_issue(
             scene, label, "turn", "warning", f"{name} turns by {math.degrees(turn_rad):.0f} degrees in {time_s:.1f} s."
         )
     speed = math.dist(before.box[:2], now.box[:2]) / time_s
     fastest = settings.fastest_m_s.get(label.label, FASTEST_M_S)
     if course.posed and speed > fastest:
-        yield finding(scene, label, "speed", "warning", f"{name} goes {speed:.0f} m/s, more than {fastest:.0f}.")
+        yield box_issue(scene, label, "speed", "warning", f"{name} goes {speed:.0f} m/s, more than {fastest:.0f}.")
 
 
 def _jump(
@@ -417,7 +417,7 @@ def _jump(
         return
     severity: Severity = "error" if off > settings.jump_far_m else "warning"
     sentence = f"{label.label} {label.track} jumps: {off:.1f} m off an even motion over three frames."
-    yield finding(scene, label, "jump", severity, sentence)
+    yield box_issue(scene, label, "jump", severity, sentence)
 
 
 def _bend(steps: Sequence[TrackStep], middle: int) -> float | None:
@@ -441,7 +441,7 @@ FACE_M = 0.1
 """So near a face, points are its own: range noise and a careful hand leave as much."""
 
 
-def points(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
+def point_checks(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """All checks against the points of the frame."""
     if scene.around is None:
         return
@@ -458,7 +458,7 @@ def points(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Itera
         count = int(inside.sum())
         yield from _empty(label, count, scene, settings)
         if settings.extent == "full":
-            outside = _left(label, near[beyond > FACE_M, 2], ground)
+            outside = _count_outside(label, near[beyond > FACE_M, 2], ground)
             yield from _outside(label, outside, count, scene, settings)
 
 
@@ -470,11 +470,11 @@ def _standing(
     bottom = -label.box[5] / 2
     most_m = settings.ground_m + TALLER * max(label.box[5] - TALL_M, 0.0)
     if ground > 0:
-        yield finding(scene, label, "ground", "error", f"{label.label}: more than half of it is in the ground.")
+        yield box_issue(scene, label, "ground", "error", f"{label.label}: more than half of it is in the ground.")
     elif ground - bottom > most_m:
-        yield finding(scene, label, "ground", "warning", f"{label.label}: {ground - bottom:.1f} m in the ground.")
+        yield box_issue(scene, label, "ground", "warning", f"{label.label}: {ground - bottom:.1f} m in the ground.")
     elif bottom - ground > most_m:
-        yield finding(scene, label, "ground", "warning", f"{label.label}: {bottom - ground:.1f} m above the ground.")
+        yield box_issue(scene, label, "ground", "warning", f"{label.label}: {bottom - ground:.1f} m above the ground.")
 
 
 def _empty(label: BoxLabel, count: int, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
@@ -482,12 +482,12 @@ def _empty(label: BoxLabel, count: int, scene: CheckedFrame, settings: CheckSett
         return
     if count == 0:
         sentence = f"{label.label}: no LiDAR point in it; if only the radar sees it, set its source to radar."
-        yield finding(scene, label, "empty", "warning", sentence)
+        yield box_issue(scene, label, "empty", "warning", sentence)
     elif count < settings.fewest_points:
-        yield finding(scene, label, "empty", "info", f"{label.label}: {count} LiDAR points in it.")
+        yield box_issue(scene, label, "empty", "info", f"{label.label}: {count} LiDAR points in it.")
 
 
-def _left(label: BoxLabel, heights: Float[np.ndarray, " n"], ground: float | None) -> int:
+def _count_outside(label: BoxLabel, heights: Float[np.ndarray, " n"], ground: float | None) -> int:
     """How many points just outside a box are neither the ground's nor above it; 0 where the ground is not known."""
     if ground is None:
         return 0
@@ -500,7 +500,7 @@ def _outside(
 ) -> Iterator[LabelIssue]:
     if outside >= FEWEST_OUTSIDE and outside + count >= FEWEST_OF_OBJECT and outside > settings.ring_share * count:
         sentence = f"{label.label}: {outside} points just outside it, {count} inside: is it large enough?"
-        yield finding(scene, label, "outside", "warning", sentence)
+        yield box_issue(scene, label, "outside", "warning", sentence)
 
 
 # Where a detector disagrees with the annotators
@@ -514,8 +514,8 @@ def disagreements(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -
     confident = [candidate for candidate in scene.detections if candidate.score > settings.detector_score]
     if not confident:
         return
-    detector_boxes = as_set([BoxLabel(id="", label=candidate.label, box=candidate.box) for candidate in confident])
-    iou = pairwise_iou(detector_boxes, as_set(boxes), kind="bev")
+    detector_boxes = to_boxes([BoxLabel(id="", label=candidate.label, box=candidate.box) for candidate in confident])
+    iou = pairwise_iou(detector_boxes, to_boxes(boxes), kind="bev")
     for number, detection in enumerate(confident):
         best = int(iou[number].argmax()) if len(boxes) else -1
         overlap = float(iou[number, best]) if len(boxes) else 0.0
@@ -532,4 +532,4 @@ def disagreements(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -
         elif overlap < settings.detector_iou:
             label = boxes[best]
             sentence = f"{label.label} {label.track}: the detector places it otherwise (IoU {overlap:.2f}, {score})."
-            yield finding(scene, label, "detector", "info", sentence)
+            yield box_issue(scene, label, "detector", "info", sentence)

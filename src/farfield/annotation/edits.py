@@ -14,7 +14,7 @@ from farfield.frame import Key
 STATES = ("proposed", "edited", "accepted", "rejected")
 SOURCES = ("", "lidar", "radar", "camera", "interpolated", "propagated", "detector")
 FARTHEST_M, LARGEST_M = 1000.0, 60.0
-MADE = ("interpolated", "propagated")
+TOOL_SOURCES = ("interpolated", "propagated")
 """Sources of boxes that a person did not place: one that is moved by hand is no longer of these."""
 
 Value = Mapping[str, Any]
@@ -34,13 +34,13 @@ def set_box(store: Store, key: Key, name: str, base: int, value: Value) -> Seque
         RefusedError: If there is no such box, or the value is not possible.
         ConflictError: If somebody changed the box since ``base``.
     """
-    row = _present(store, key, name)
+    row = _require_box(store, key, name)
     cell = box_cell(key, name)
     old = store.value(cell)
     new = validate_box(store, old | dict(value), old)
     if new.get("state") == "proposed" and new["box"] != old["box"] and "state" not in value:
         new["state"] = "edited"
-    if new.get("source") in MADE and new["box"] != old["box"] and new.get("state", "accepted") != "proposed":
+    if new.get("source") in TOOL_SOURCES and new["box"] != old["box"] and new.get("state", "accepted") != "proposed":
         new["source"] = "lidar"
     changes = [store.change(cell, new, base=base)]
     if new["box"][3:6] != old["box"][3:6] and new.get("track") and row.label.track == new.get("track"):
@@ -73,14 +73,14 @@ def delete_box(store: Store, key: Key, name: str, base: int) -> Sequence[CellEdi
         RefusedError: If there is no such box.
         ConflictError: If somebody changed the box since ``base``.
     """
-    _present(store, key, name)
+    _require_box(store, key, name)
     cell = box_cell(key, name)
     old = store.value(cell)
     proposed = old.get("state", "accepted") == "proposed"
     return [store.change(cell, {**old, "state": "rejected"} if proposed else None, base=base)]
 
 
-def _present(store: Store, key: Key, name: str) -> StoredBox:
+def _require_box(store: Store, key: Key, name: str) -> StoredBox:
     if key not in store.index_of:
         raise RefusedError("frame", f"there is no frame {'/'.join(key)}")
     row = store.row(key, name)
@@ -226,7 +226,7 @@ def set_track(
         RefusedError: If there is no such track, or a value is not possible.
         ConflictError: If somebody changed the track since ``base``.
     """
-    boxes = _existing(store, drive, track)
+    boxes = _require_track(store, drive, track)
     cell = track_cell(drive, track)
     old = store.value(cell) or {}
     new = dict(old) | {
@@ -244,11 +244,15 @@ def set_track(
         if last is not None and row > last and not box.label.keyframe:
             changes.append(store.change(box_cell(key, box.label.id), None))
         else:
-            changes += _altered(store, key, box, label, new.get("size") if size is not None or locked else None)
+            changes += _relabelled_or_resized(
+                store, key, box, label, new.get("size") if size is not None or locked else None
+            )
     return changes
 
 
-def _altered(store: Store, key: Key, box: StoredBox, label: str | None, size: Sequence[float] | None) -> list[CellEdit]:
+def _relabelled_or_resized(
+    store: Store, key: Key, box: StoredBox, label: str | None, size: Sequence[float] | None
+) -> list[CellEdit]:
     cell = box_cell(key, box.label.id)
     old = store.value(cell)
     new = dict(old) if label is None else {**old, "label": label}
@@ -257,7 +261,7 @@ def _altered(store: Store, key: Key, box: StoredBox, label: str | None, size: Se
     return [store.change(cell, validate_box(store, new, old))] if new != old else []
 
 
-def _existing(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
+def _require_track(store: Store, drive: str, track: str) -> list[tuple[int, Key, StoredBox]]:
     boxes = boxes_of(store, drive, track)
     if not track or not boxes:
         raise RefusedError("track", f"drive {drive} has no track {track!r}")
@@ -290,7 +294,7 @@ def merge_tracks(store: Store, drive: str, track: str, into: str, base: int, int
         RefusedError: If there is no such track, or both have a box in one frame.
         ConflictError: If somebody changed either since.
     """
-    boxes, into_boxes = _existing(store, drive, track), _existing(store, drive, into)
+    boxes, into_boxes = _require_track(store, drive, track), _require_track(store, drive, into)
     if track == into:
         raise RefusedError("track", f"track {track} cannot be merged with itself")
     both = sorted({row for row, _, _ in boxes} & {row for row, _, _ in into_boxes})
@@ -322,7 +326,7 @@ def split_track(store: Store, drive: str, track: str, frame: str, new_track: str
         RefusedError: If there is no such track, the number is in use, or nothing would stay or go.
         ConflictError: If somebody changed the track since ``base``.
     """
-    boxes = _existing(store, drive, track)
+    boxes = _require_track(store, drive, track)
     if boxes_of(store, drive, new_track):
         raise RefusedError("track", f"drive {drive} has a track {new_track} already", "Take a number that is free.")
     first = _row_of(store, drive, frame) or 0
@@ -354,7 +358,7 @@ def interpolate_track(store: Store, drive: str, track: str, first: int, last: in
     Raises:
         RefusedError: If there are not two keyframes.
     """
-    boxes = _existing(store, drive, track)
+    boxes = _require_track(store, drive, track)
     keyframes = [(key, box) for _, key, box in boxes if box.label.keyframe]
     if len(keyframes) < 2:
         raise RefusedError("keyframes", f"track {track} has {len(keyframes)} keyframes", "Set two or more (key K).")
@@ -385,7 +389,7 @@ def propagate_track(
         RefusedError: If the track has no box in the first frame.
     """
     with store.lock:
-        boxes = {row: (key, box) for row, key, box in _existing(store, drive, track)}
+        boxes = {row: (key, box) for row, key, box in _require_track(store, drive, track)}
         ends = _row_of(store, drive, (store.value(track_cell(drive, track)) or {}).get("ends", ""))
     keys = store.drives.keys(drive)
     if first not in boxes:

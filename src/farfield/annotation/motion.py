@@ -94,7 +94,7 @@ def interpolate(
             part = slice(after - 1, after + 1)
             x, y, z = _curve(times_s[part], centres[part], speeds[part], moment.time_s)
             share = float((moment.time_s - times_s[after - 1]) / (times_s[after] - times_s[after - 1]))
-            box = (x, y, z, *_turned(world_boxes[after - 1], world_boxes[after], share, size_m))
+            box = (x, y, z, *_size_and_yaw(world_boxes[after - 1], world_boxes[after], share, size_m))
             boxes[moment.key] = from_world(box, moment) if posed else box
     return boxes
 
@@ -115,7 +115,7 @@ def _curve(
     return x, y, z
 
 
-def _turned(
+def _size_and_yaw(
     first: Numbers, second: Numbers, share: float, size_m: Sequence[float] | None
 ) -> tuple[float, float, float, float]:
     """Size and heading a share of the way between two boxes."""
@@ -177,23 +177,27 @@ def propagate(
         if later_keyframes and moment.key in later_keyframes:
             trail, blind = [*trail[1 - KEYFRAMES :], (moment.time_s, to_world(later_keyframes[moment.key], moment))], []
             continue
+        # Predict by constant velocity, and fit within the window about the prediction.
         expected, speed = _expected(trail, moment.time_s)
         window_m = WINDOW_M + WINDOW_S * speed * abs(moment.time_s - trail[-1][0])
         guess = from_world(expected, moment)
         fit = RefitBox(guess, FEWEST_POINTS) if refit is None else refit(moment.key, guess, window_m)
+        # Too few points: coast on the prediction, for 5 frames at most.
         if fit.box is None or fit.points < FEWEST_POINTS:
             blind.append(moment.key)
             boxes[moment.key] = guess
             if len(blind) == LONGEST_BLIND:
-                return PropagatedTrack(_without(boxes, blind), _lost(blind[0]))
+                return PropagatedTrack(_without(boxes, blind), _lost_message(blind[0]))
             continue
+        # Farther off than its motion allows: it is another object.
         off_m = float(np.hypot(fit.box[0] - guess[0], fit.box[1] - guess[1]))
         if off_m > window_m:
-            return PropagatedTrack(_without(boxes, blind), _astray(moment.key, off_m, window_m))
+            return PropagatedTrack(_without(boxes, blind), _off_track_message(moment.key, off_m, window_m))
+        # Update the trail, from which the next velocity is estimated.
         blind = []
         boxes[moment.key] = fit.box
         trail = [*trail[1 - KEYFRAMES :], (moment.time_s, to_world(fit.box, moment))]
-    return PropagatedTrack(_without(boxes, blind), _lost(blind[0]) if blind and refit is not None else "")
+    return PropagatedTrack(_without(boxes, blind), _lost_message(blind[0]) if blind and refit is not None else "")
 
 
 def _expected(trail: Sequence[tuple[float, Numbers]], time_s: float) -> tuple[Numbers, float]:
@@ -213,11 +217,11 @@ def _without(boxes: Mapping[Key, Numbers], blind: Sequence[Key]) -> dict[Key, Nu
     return {key: box for key, box in boxes.items() if key not in blind}
 
 
-def _lost(key: Key) -> str:
+def _lost_message(key: Key) -> str:
     return f"The object is lost from frame {key[1]} on: fewer than {FEWEST_POINTS} points in each."
 
 
-def _astray(key: Key, off_m: float, window_m: float) -> str:
+def _off_track_message(key: Key, off_m: float, window_m: float) -> str:
     return (
         f"In frame {key[1]} the points lie {off_m:.1f} m from where the motion takes the object, more than "
         f"{window_m:.1f} m: set a keyframe there, or end the track."

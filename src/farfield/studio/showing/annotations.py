@@ -8,7 +8,7 @@ from typing import Any
 from farfield.annotation.annotator import Annotator, Gesture
 from farfield.annotation.checking import LabelIssue
 from farfield.annotation.drives import TrackNumbers
-from farfield.annotation.edits import MADE
+from farfield.annotation.edits import TOOL_SOURCES
 from farfield.annotation.errors import ConflictError
 from farfield.annotation.saving import FORMATS
 from farfield.annotation.schema import ClassPreset
@@ -266,5 +266,5 @@ class AnnotationService:
 
 def _track_facts(value: Mapping[str, object]) -> tuple[object, ...]:
     """What of a box's value the page's list of tracks depends on: track, class, whether it is a keyframe."""
-    by_tool = value.get("source") in (*MADE, "detector")
+    by_tool = value.get("source") in (*TOOL_SOURCES, "detector")
     return value.get("track", ""), value.get("label"), value.get("state", "accepted") in ("edited", "accepted"), by_tool
