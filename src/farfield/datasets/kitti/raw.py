@@ -8,24 +8,25 @@ the cameras fire), and when it ends.
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation
 
 from farfield.datasets.base import Dataset, Indices
-from farfield.datasets.labels.json_labels import annotation_of
-from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
 from farfield.files.images import read_image
 from farfield.files.kitti import read_raw_calib, read_record, rectified, rigid
 from farfield.files.stamps import read_stamps, recognise_stamps
-from farfield.files.tracklets import parse_tracklets
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.geometry.poses import invert, pose
+
+if TYPE_CHECKING:
+    from farfield.datasets.labels.tracklet_labels import TrackletLabels
 
 CLOUDS, CAMERAS = "velodyne_points", ("image_00", "image_01", "image_02", "image_03")
 _COLUMNS, _LOOKED_AT = 4, 8
@@ -121,8 +122,10 @@ class KittiRaw(Dataset):
         )
 
 
-def label_format(data: KittiRaw) -> TrackletLabels:
+def label_format(data: KittiRaw) -> "TrackletLabels":
     """The tracklets of a data set's drives, to edit them."""
+    from farfield.datasets.labels.tracklet_labels import TrackletLabels
+
     frames = enumerate(zip(data.keys, data.frame_ids, strict=True))
     return TrackletLabels({key: (data.clouds[index].parents[2] / _LABELS, int(name)) for index, (key, name) in frames})
 
@@ -193,6 +196,8 @@ def _pose(record: Float[np.ndarray, " 30"], scale: float) -> Float[np.ndarray, "
 
 
 def _annotation(path: Path, frame_id: str) -> Annotation:
+    from farfield.datasets.labels.json_labels import annotation_of
+
     status = path.stat()
     return annotation_of(_tracklets(path, status.st_mtime_ns, status.st_size).get(str(int(frame_id)), ()))
 
@@ -200,6 +205,8 @@ def _annotation(path: Path, frame_id: str) -> Annotation:
 @lru_cache(maxsize=4)
 def _tracklets(path: Path, changed_ns: int, size: int) -> Mapping[str, tuple[Cuboid, ...]]:
     """The boxes of a drive by frame; its file is parsed once while it stays."""
+    from farfield.files.tracklets import parse_tracklets
+
     del changed_ns, size
     cuboids_by_frame: dict[str, list[Cuboid]] = {}
     for cuboid in parse_tracklets(read_bytes(path), path):
