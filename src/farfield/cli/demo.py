@@ -125,7 +125,7 @@ def _with_radar(out: Path, sequences: int, frames: int, seed: int) -> int:
         {weather: open_dataset(folder / weather) for weather in _WEATHERS},
         title="4D radar and LiDAR on the same simulated drives, in normal weather and in sleet",
         name=f"{folder.name} in normal weather and in sleet",
-        kept=kept,
+        journals=kept,
         bulk=hands(1, "local", "detecting"),
     )
     page, picture = write_weathers(evaluation, kept, picture=PICTURE)

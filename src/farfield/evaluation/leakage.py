@@ -48,13 +48,13 @@ def _fingerprints(provenance: Mapping[str, Any]) -> set[tuple[str, int]]:
 def _candidates(data: Dataset, provenance: Mapping[str, Any], sizes: set[int]) -> Iterator[Dataset]:
     """The data and its parts as the detector was trained to see them, of which some may be what it was trained on."""
     recipe = recipe_of_provenance(dict(provenance))
-    whole = data.unwrapped
+    reader = data.unwrapped
     annotated_origins: set[int] | None = None
     for name in _SPLITS:
         try:
-            part = whole.split(name) if name else whole
+            part = reader.split(name) if name else reader
             if annotated_origins is None:  # each frame is looked at once, not once a part
-                annotated_origins = {index for index in range(len(whole)) if whole.has_annotation(index)}
+                annotated_origins = {index for index in range(len(reader)) if reader.has_annotation(index)}
             annotated = [index for index, origin in enumerate(part.origins) if origin in annotated_origins]
             for candidate in (part, part.select(annotated) if len(annotated) < len(part) else None):
                 if candidate is not None and len(candidate) in sizes:
@@ -65,13 +65,15 @@ def _candidates(data: Dataset, provenance: Mapping[str, Any], sizes: set[int]) -
         yield replay(data, recipe)
 
 
-def leakage_warning(words: str, common: int) -> tuple[str, ...]:
+def leakage_warning(frames_text: str, common: int) -> tuple[str, ...]:
     """A note for a score, where the detector was trained on frames that count.
 
     Args:
-        words: On which frames, as :func:`seen_in_training` says.
+        frames_text: On which frames, as :func:`seen_in_training` says.
         common: How many they are.
     """
     if not common:
         return ()
-    return (f"the detector learnt from {words}: the score says how well it remembers, not how well it generalises",)
+    return (
+        f"the detector learnt from {frames_text}: the score says how well it remembers, not how well it generalises",
+    )

@@ -55,8 +55,8 @@ class FrameView:
     def by_cloud(self) -> dict[str, Boxes | None]:
         """Predictions by cloud name, in the order of the frame's clouds; only clouds that were asked for."""
         if isinstance(self.predictions, Mapping):
-            given = self.predictions
-            return {name: given[name] for name in self.frame.clouds if name in given}
+            by_name = self.predictions
+            return {name: by_name[name] for name in self.frame.clouds if name in by_name}
         first = next(iter(self.frame.clouds), None)
         return {} if first is None else {first: self.predictions}
 
@@ -123,11 +123,11 @@ class Evaluation:
             ConfigError: If there is no such file.
             FileFormatError: If the file is no evaluation.
         """
-        given = Path(path)
-        path = given / EVALUATION if given.is_dir() else given
+        location = Path(path)
+        path = location / EVALUATION if location.is_dir() else location
         if not path.is_file():
             raise ConfigError(
-                f"{given}: expected {EVALUATION}, as `farfield evaluate` writes it, or the JSON of "
+                f"{location}: expected {EVALUATION}, as `farfield evaluate` writes it, or the JSON of "
                 "`farfield score --json`; found none"
             )
         content = _read_json(path)
@@ -135,12 +135,12 @@ class Evaluation:
             return cls(results={str(content.get("label", "result")): content}, title=f"Scores of {path.stem}")
         for name in ("results", "settings", "provenance"):
             if not isinstance(content.get(name), dict):
-                found = f"{type(content.get(name)).__name__} under {name!r}"
+                actual = f"{type(content.get(name)).__name__} under {name!r}"
                 raise FileFormatError(
                     path,
                     where=f"key {name!r}",
                     expected="an object",
-                    found=found,
+                    found=actual,
                     mend="Give the evaluation.json of `farfield evaluate` or the JSON of `farfield score --json`.",
                 )
         frames = []
@@ -166,8 +166,8 @@ def _read_json(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
     if not isinstance(content, dict):
-        found = type(content).__name__
-        raise FileFormatError(path, where="the file", expected="a JSON object", found=found)
+        actual = type(content).__name__
+        raise FileFormatError(path, where="the file", expected="a JSON object", found=actual)
     return content
 
 
@@ -199,7 +199,7 @@ def _is_of(folder: Path, digest: str, fingerprint: str) -> bool:
         subjects = [result["subject"] for result in tree["results"].values()]
     except (ValueError, KeyError, TypeError, AttributeError):
         return False
-    return all(each["detector_digest"] == digest and each["fingerprint"] == fingerprint for each in subjects)
+    return all(subject["detector_digest"] == digest and subject["fingerprint"] == fingerprint for subject in subjects)
 
 
 # One shown frame on disk: a JSON file of names, a cloud cache of numbers, JPEGs of images.
@@ -294,9 +294,9 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
             load_annotation=None if annotated is None else Constant(Annotation(boxes=annotated)),
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        found = plain(error)
+        reason = plain(error)
         raise FileFormatError(
-            path, where="the frame", expected="a frame as `save_frame` writes it", found=found
+            path, where="the frame", expected="a frame as `save_frame` writes it", found=reason
         ) from error
     predicted = {part.removeprefix("predicted/"): boxes for part, boxes in sets.items()}
     boxes = predicted.get("") if set(predicted) <= {""} else predicted
@@ -306,8 +306,8 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
 def _radar_map(path: Path, power_db: np.ndarray | None) -> Float32[np.ndarray, "y x"] | None:
     if power_db is None or (power_db.shape == _MAP_SHAPE and power_db.dtype == np.float32):
         return power_db
-    expected, found = f"a float32 map of shape {_MAP_SHAPE}", f"{power_db.dtype} of shape {power_db.shape}"
-    raise FileFormatError(path, where="the radar's power", expected=expected, found=found)
+    expected, actual = f"a float32 map of shape {_MAP_SHAPE}", f"{power_db.dtype} of shape {power_db.shape}"
+    raise FileFormatError(path, where="the radar's power", expected=expected, found=actual)
 
 
 def _boxes(arrays: Mapping[str, np.ndarray], name: str, labels: list[str]) -> Boxes:

@@ -52,8 +52,8 @@ def interval(result: Result, name: str, *, part: str = "overall") -> tuple[float
 
 def counts(result: Result, *, part: str = "overall") -> dict[str, int]:
     """Counts of annotated boxes and predictions, as far as the result has them."""
-    found = at(result, ("counts",)) if part == "overall" else at(result, ("counts", "ranges", part))
-    return {name: int(value) for name, value in (found or {}).items() if isinstance(value, int)}
+    node = at(result, ("counts",)) if part == "overall" else at(result, ("counts", "ranges", part))
+    return {name: int(value) for name, value in (node or {}).items() if isinstance(value, int)}
 
 
 def scored_labels(results: Mapping[str, Result]) -> tuple[str, ...] | None:
@@ -126,10 +126,10 @@ def annotated_objects(
             continue
         detected = confident(predictions.get(key, Boxes.empty(scored=True)), score_min)
         finder = finding.found_by(detected[of_classes(detected, labels)], annotated)
-        known = annotated.point_count >= 0
-        range_m += np.round(annotated.range_m[known], 2).tolist()
-        point_count += annotated.point_count[known].tolist()
-        found += (finder[known] >= 0).tolist()
+        counted = annotated.point_count >= 0
+        range_m += np.round(annotated.range_m[counted], 2).tolist()
+        point_count += annotated.point_count[counted].tolist()
+        found += (finder[counted] >= 0).tolist()
     rows = {"range_m": range_m, "point_count": point_count, "found": found}
     return {**rows, "score_min": score_min, "finding": str(finding), "kind": kind}
 

@@ -34,7 +34,7 @@ def evaluate_weathers(
     *,
     title: str,
     name: str,
-    kept: Path | None = None,
+    journals: Path | None = None,
     bulk: JobOptions | None = None,
 ) -> Evaluation:
     """Score detectors on the same drives in several weathers: AP of vehicles in the driving corridor, by weather.
@@ -44,7 +44,7 @@ def evaluate_weathers(
         data: The drives by weather; equal keys are the same moment.
         title: Title of the report.
         name: What the drives are called together.
-        kept: Folder that keeps what was found, so that an interrupted evaluation goes on; None keeps nothing.
+        journals: Folder that keeps what was found, so that an interrupted evaluation goes on; None keeps nothing.
         bulk: Who detects; this process with all its threads unless given.
 
     Returns:
@@ -71,7 +71,7 @@ def evaluate_weathers(
                 cloud=cloud,
                 annotated_only=True,
                 bulk=bulk,
-                journal=None if kept is None else kept / f".found-{weather}-{cloud}.jsonl",
+                journal=None if journals is None else journals / f".found-{weather}-{cloud}.jsonl",
             )
             for weather, drives in data.items()
         }
@@ -117,14 +117,14 @@ def merge_weathers(parts: Mapping[str, Detections], name: str) -> Detections:
     """
     first = next(iter(parts.values()))
     prints = "".join(part.fingerprint for part in parts.values())
-    seen = {weather: part.seen_in_training for weather, part in parts.items()}
+    leakage = {weather: part.seen_in_training for weather, part in parts.items()}
     boxes: dict[Key, Boxes] = {}
     annotations: dict[Key, Annotation] = {}
     conditions: dict[Key, Mapping[str, str]] = {}
     for weather, part in parts.items():
-        boxes |= {key_in(weather, key): each for key, each in part.boxes.items()}
-        annotations |= {key_in(weather, key): each for key, each in part.annotations.items()}
-        conditions |= {key_in(weather, key): each for key, each in part.conditions.items()}
+        boxes |= {key_in(weather, key): value for key, value in part.boxes.items()}
+        annotations |= {key_in(weather, key): value for key, value in part.annotations.items()}
+        conditions |= {key_in(weather, key): value for key, value in part.conditions.items()}
     return replace(
         first,
         boxes=boxes,
@@ -137,8 +137,8 @@ def merge_weathers(parts: Mapping[str, Detections], name: str) -> Detections:
         fingerprint=hashlib.sha256(prints.encode()).hexdigest() if prints else "",
         labels_fingerprint="",
         seen_in_training=first.seen_in_training
-        if len(set(seen.values())) == 1
-        else "; ".join(f"{weather}: {words}" for weather, words in seen.items()),
+        if len(set(leakage.values())) == 1
+        else "; ".join(f"{weather}: {text}" for weather, text in leakage.items()),
     )
 
 

@@ -63,9 +63,9 @@ def draw_birdseye(
     draw_rings(axes, window_m, rings_m)
     _draw_points(axes, cloud.points_m[in_window(cloud.points_m, window_m)], window_m, point_size)
     if annotated is not None:
-        asked = of_classes(annotated, labels)
-        draw_boxes(axes, annotated[~asked], MUTED, line_width=0.7 * line_width, order=3)
-        draw_boxes(axes, annotated[asked], ANNOTATED, line_width=1.9 * line_width, order=4)
+        counts = of_classes(annotated, labels)
+        draw_boxes(axes, annotated[~counts], MUTED, line_width=0.7 * line_width, order=3)
+        draw_boxes(axes, annotated[counts], ANNOTATED, line_width=1.9 * line_width, order=4)
     if predicted is not None:
         draw_boxes(axes, predicted, PREDICTED, line_width=line_width, order=5)
         draw_tags(axes, predicted[in_window(predicted.centre_m, window_m)], PREDICTED)
@@ -91,8 +91,8 @@ def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], window_m: Win
     from matplotlib.colors import to_rgb
 
     x_from, x_to, y_from, y_to = window_m
-    place = axes.get_position()
-    width = axes.get_figure(root=True).get_figwidth() * place.width * _POINT_DPI  # type: ignore[union-attr]
+    rectangle = axes.get_position()
+    width = axes.get_figure(root=True).get_figwidth() * rectangle.width * _POINT_DPI  # type: ignore[union-attr]
     pixel_m = max((x_to - x_from) / max(width, 1.0), 1e-6)
     shape = max(round((x_to - x_from) / pixel_m), 1), max(round((y_to - y_from) / pixel_m), 1)
     count, _, _ = np.histogram2d(points_m[:, 0], points_m[:, 1], bins=shape, range=((x_from, x_to), (y_from, y_to)))
@@ -258,8 +258,8 @@ def zooms(
     with house_style():
         figure = new_figure(11.0, 4.0, fixed=True)
         _leave_room(figure, above_in=0.35, below_in=0.5)
-        for place, (name, window_m) in enumerate(windows_m, 1):
-            axes = figure.add_subplot(1, len(windows_m), place)
+        for number, (name, window_m) in enumerate(windows_m, 1):
+            axes = figure.add_subplot(1, len(windows_m), number)
             draw_birdseye(
                 axes,
                 cloud,
@@ -272,7 +272,7 @@ def zooms(
                 line_width=1.1,
             )
             axes.set_title(name)
-            axes.set_ylabel("y left (m)" if place == 1 else "")
+            axes.set_ylabel("y left (m)" if number == 1 else "")
     return figure
 
 
@@ -302,8 +302,8 @@ def birdseye(
     if predictions is not None and frame.boxes is not None:
         annotated = frame.boxes[of_classes(frame.boxes, labels)]
         annotated = annotated[in_window(annotated.centre_m, window)]
-        found = int((found_by(predictions, annotated) >= 0).sum())
-        title += f": {found} of {len(annotated)} annotated objects found within 2 m"
+        num_found = int((found_by(predictions, annotated) >= 0).sum())
+        title += f": {num_found} of {len(annotated)} annotated objects found within 2 m"
     title += f"; {left_out}" if left_out else ""
     point = returns_word(kind_of(frame, cloud))
     return overview(
@@ -326,11 +326,11 @@ def zoom_windows(edges_m: Sequence[float] = RANGES_M) -> tuple[tuple[str, Window
     edges = [0.0, *edges_m]
     if len(edges) not in (3, 4, 5) or edges[-1] <= SHORT_WINDOW_M[1] or edges[-1] > WINDOW_M[1]:
         return ()
-    words = ("near: ", "mid: ", "far: ") if len(edges) == 4 else ("",) * 4
+    titles = ("near: ", "mid: ", "far: ") if len(edges) == 4 else ("",) * 4
     half_m = (35.0, 40.0, 50.0, 50.0)
     return tuple(
-        (f"{word}{low:g} to {high:g} m", (low, high, -half, half))
-        for word, half, (low, high) in zip(words, half_m, pairwise(edges), strict=False)
+        (f"{title}{low:g} to {high:g} m", (low, high, -half, half))
+        for title, half, (low, high) in zip(titles, half_m, pairwise(edges), strict=False)
     )
 
 
@@ -404,10 +404,10 @@ def draw_tags(axes: "Axes", boxes: Boxes, colour: str) -> None:
     """Class and score beside each box seen from above; of very many beside the surest, or else the nearest."""
     order = np.argsort(boxes.range_m if boxes.score is None else -boxes.score, kind="stable")[:_MOST_TAGS]
     corners = boxes.bev_corners_m()
-    for row, words in zip(order, tags_of(boxes[order]), strict=True):
+    for row, tag in zip(order, tags_of(boxes[order]), strict=True):
         right, top = corners[row].max(axis=0)
         axes.annotate(
-            words,
+            tag,
             (right, top),
             xytext=(1.5, 0.5),
             textcoords="offset points",

@@ -42,9 +42,9 @@ def box_lines(boxes: Boxes, camera: Camera) -> list[Float[np.ndarray, "steps 2"]
     pixels, _, visible = camera.project(along.reshape(-1, 3))
     shape = (-1, _STEPS)
     return [
-        line[seen]
-        for line, seen in zip(pixels.reshape(*shape, 2), visible.reshape(shape), strict=True)
-        if seen.sum() >= 2
+        line[inside]
+        for line, inside in zip(pixels.reshape(*shape, 2), visible.reshape(shape), strict=True)
+        if inside.sum() >= 2
     ]
 
 
@@ -89,8 +89,8 @@ def camera_picture(
 def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], camera: Camera) -> None:
     pixels, _, visible = camera.project(points_m)
     range_m = np.hypot(points_m[:, 0], points_m[:, 1])[visible]
-    seen = pixels[visible]
-    axes.scatter(seen[:, 0], seen[:, 1], c=range_m, s=1.2, cmap="viridis_r", linewidths=0, zorder=1)
+    shown = pixels[visible]
+    axes.scatter(shown[:, 0], shown[:, 1], c=range_m, s=1.2, cmap="viridis_r", linewidths=0, zorder=1)
 
 
 def _draw_boxes(axes: "Axes", boxes: Boxes, camera: Camera, line_width: float, style: str, *, tagged: bool) -> None:
@@ -110,10 +110,10 @@ def _draw_tags(axes: "Axes", boxes: Boxes, camera: Camera, colour: str) -> None:
     if not len(boxes):
         return
     pixels, _, visible = camera.project(boxes.corners_m().reshape(-1, 3))
-    for place, seen, words in zip(pixels.reshape(-1, 8, 2), visible.reshape(-1, 8), tags_of(boxes), strict=True):
-        if seen.any():
-            left, top = place[seen].min(axis=0)
-            axes.text(left, top - 2, words, color=colour, fontsize=6.5, va="bottom", clip_on=True)
+    for corners, inside, tag in zip(pixels.reshape(-1, 8, 2), visible.reshape(-1, 8), tags_of(boxes), strict=True):
+        if inside.any():
+            left, top = corners[inside].min(axis=0)
+            axes.text(left, top - 2, tag, color=colour, fontsize=6.5, va="bottom", clip_on=True)
 
 
 # A picture with the LiDAR's points and the boxes in it, as Cirrus' Figure 5 has them.
@@ -177,9 +177,9 @@ def depth_picture(
     from matplotlib.colors import LogNorm
 
     height, width = depth.depth_m.shape
-    known = depth.depth_m[np.isfinite(depth.depth_m)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (1.0, 100.0)
-    norm = LogNorm(low, max(high, low * 1.01))
+    measured_m = depth.depth_m[np.isfinite(depth.depth_m)]
+    nearest_m, farthest_m = (float(measured_m.min()), float(measured_m.max())) if measured_m.size else (1.0, 100.0)
+    norm = LogNorm(nearest_m, max(farthest_m, nearest_m * 1.01))
     sure = np.isfinite(depth.uncertainty_m).any()
     rows = 3 if sure else 2
     with house_style():
@@ -196,7 +196,7 @@ def depth_picture(
         shown = axes[1].imshow(depth.depth_m, cmap=_COLOURS, norm=norm, alpha=_certainty(depth), interpolation="none")
         filled = np.isfinite(depth.depth_m).mean()
         axes[1].set_title(f"{depth.method}: {filled:.0%} of the pixels, fainter where less sure", fontsize=9)
-        ticks = [tick for tick in _TICKS_M if low <= tick <= high]
+        ticks = [tick for tick in _TICKS_M if nearest_m <= tick <= farthest_m]
         bar = figure.colorbar(shown, ax=list(axes[:2]), label="depth in m", ticks=ticks, format="%g", shrink=0.8)
         bar.minorticks_off()
         if sure:

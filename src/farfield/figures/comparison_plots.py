@@ -45,14 +45,14 @@ def elevation(sides: Sequence[ComparedDataset]) -> "Figure | None":
     with house_style():
         figure = new_figure(11.0, 4.3)
         left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
-        for place, (side, name, cloud, colour, dash) in enumerate(series):
+        for column, (side, name, cloud, colour, dash) in enumerate(series):
             edges = np.asarray(cloud["elevation"]["edges_deg"])[::4]  # whole degrees: finer ones show each line
             count = np.asarray(cloud["elevation"]["count"], dtype=np.float64).reshape(-1, 4).sum(axis=1)
             density = count / max(count.sum(), 1) / np.diff(edges)
             left.stairs(density, edges, color=colour, lw=1.7, ls=dash, label=f"{side.title}, {name}", baseline=None)
             shares = [cloud["far_share_of_horizon"][limit] for limit in _SHARES]
             width = 0.8 / len(series)
-            at = np.arange(3) + (place - (len(series) - 1) / 2) * width
+            at = np.arange(3) + (column - (len(series) - 1) / 2) * width
             bars = right.bar(at, shares, width * 0.92, color=colour, alpha=1.0 if dash == "-" else 0.45)
             right.bar_label(bars, [f"{share:.2f}" for share in shares], fontsize=7.5, color=INK, padding=1)
         if any(name == PATTERNS[0] for _, name, *_ in series):
@@ -89,12 +89,12 @@ def points_in_vehicles(sides: Sequence[ComparedDataset]) -> "Figure | None":
         panels = list(grid.ravel())
         for axes in panels[count:]:
             axes.set_visible(False)
-        for axes, ((side, name, cloud, colour, dash), found) in zip(panels, drawn, strict=False):
-            _draw_boxes(axes, found, _MAPS[SIDES.index(colour)])
+        for axes, ((side, name, cloud, colour, dash), boxes) in zip(panels, drawn, strict=False):
+            _draw_boxes(axes, boxes, _MAPS[SIDES.index(colour)])
             fit = cloud["points_in_vehicles"]
             _draw_medians(axes, fit, INK, "-")
             slope = "too few boxes for a line" if fit["slope"] is None else _fit_words(fit)
-            axes.set_title(f"{side.title}, {name}\n{len(found['range_m']):,} boxes; {slope}")
+            axes.set_title(f"{side.title}, {name}\n{len(boxes['range_m']):,} boxes; {slope}")
             if overlaid:
                 _draw_medians(panels[len(drawn)], fit, colour, dash, label=f"{side.title}, {name}")
         for axes in panels[:count]:
@@ -118,11 +118,11 @@ def _is_known(fit: Mapping[str, Any]) -> bool:
     return fit["slope"] is not None or any(boxes >= LEAST_BOXES for boxes in fit["boxes"])
 
 
-def _draw_boxes(axes: "Axes", found: Mapping[str, np.ndarray], colours: str) -> None:
+def _draw_boxes(axes: "Axes", boxes: Mapping[str, np.ndarray], colours: str) -> None:
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 
-    range_m, count = found["range_m"], np.maximum(found["count"], 0.5)
+    range_m, count = boxes["range_m"], np.maximum(boxes["count"], 0.5)
     axes.hexbin(
         np.clip(range_m, 5, 320),
         count,
@@ -204,7 +204,7 @@ def objects(sides: Sequence[ComparedDataset]) -> "Figure | None":
         left.grid(visible=True)
         left.set_title("Distance of vehicles")
         shares = {
-            side.title: {name: each["share"] for name, each in side.summary["boxes"]["classes"].items()}
+            side.title: {name: row["share"] for name, row in side.summary["boxes"]["classes"].items()}
             for side, _ in having
         }
         _bars(right, shares, [colour for _, colour in having], percent=True)
@@ -218,12 +218,12 @@ def _bars(
     axes: "Axes", shares: Mapping[str, Mapping[str, float]], colours: Sequence[str], *, percent: bool = False
 ) -> None:
     """Horizontal bars, one group a name, one bar a side, the figure at its end."""
-    names = list(dict.fromkeys(name for each in shares.values() for name in each))
+    names = list(dict.fromkeys(name for values_by_name in shares.values() for name in values_by_name))
     height = 0.8 / len(shares)
-    for place, (side, each) in enumerate(shares.items()):
-        at = np.arange(len(names)) + (place - (len(shares) - 1) / 2) * height
-        values = [100 * each.get(name, 0.0) for name in names]
-        bars = axes.barh(at, values, height * 0.9, color=colours[place], label=side)
+    for side_index, (side, values_by_name) in enumerate(shares.items()):
+        at = np.arange(len(names)) + (side_index - (len(shares) - 1) / 2) * height
+        values = [100 * values_by_name.get(name, 0.0) for name in names]
+        bars = axes.barh(at, values, height * 0.9, color=colours[side_index], label=side)
         form = [f"{value:.1f}" if percent and 0 < value < 10 else f"{value:.0f}" for value in values]
         axes.bar_label(bars, form, fontsize=7.5, color=MUTED, padding=2)
     axes.set_yticks(np.arange(len(names)), [name.replace("_", " ") for name in names])
@@ -234,7 +234,8 @@ def _bars(
 def sizes(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Mean and spread of length, width and height by class."""
     tables = [
-        {name: each for name, each in side.summary["boxes"]["classes"].items() if each["count"] >= 3} for side in sides
+        {name: class_row for name, class_row in side.summary["boxes"]["classes"].items() if class_row["count"] >= 3}
+        for side in sides
     ]
     names = list(dict.fromkeys(name for table in tables for name in table))
     if not names:
@@ -243,12 +244,12 @@ def sizes(sides: Sequence[ComparedDataset]) -> "Figure | None":
         figure = new_figure(11.0, 1.3 + 0.34 * len(names))
         panels = figure.subplots(1, 3, sharey=True)
         for axes, kind in zip(panels, ("length", "width", "height"), strict=True):
-            for place, (side, table) in enumerate(zip(sides, tables, strict=True)):
+            for side_index, (side, table) in enumerate(zip(sides, tables, strict=True)):
                 rows = [(k, table[name][f"{kind}_m"]) for k, name in enumerate(names) if name in table]
                 if rows:
-                    at = [k + 0.15 * (2 * place - 1) for k, _ in rows]
+                    at = [k + 0.15 * (2 * side_index - 1) for k, _ in rows]
                     mean, std = [row["mean"] for _, row in rows], [row["std"] for _, row in rows]
-                    axes.errorbar(mean, at, xerr=std, fmt="o", ms=5, lw=1.6, color=SIDES[place], label=side.title)
+                    axes.errorbar(mean, at, xerr=std, fmt="o", ms=5, lw=1.6, color=SIDES[side_index], label=side.title)
             axes.set_title(kind.capitalize())
             axes.set_xlabel("m")
             axes.set_xlim(left=0)
@@ -276,20 +277,20 @@ def survival(sides: Sequence[ComparedDataset]) -> "Figure | None":
         for axes in panels[len(drawn) :]:
             axes.set_visible(False)
         for axes, (side, name, table) in zip(panels, drawn, strict=False):
-            places = np.arange(len(table["edges_m"]) - 1)
+            positions = np.arange(len(table["edges_m"]) - 1)
             for weather, row in table["weather"].items():
-                ratio = np.array([np.nan if each is None else each for each in row["ratio"]], dtype=np.float64)
-                word = weather.replace("_", " ")
+                ratio = np.array([np.nan if value is None else value for value in row["ratio"]], dtype=np.float64)
+                label = weather.replace("_", " ")
                 axes.plot(
-                    places,
+                    positions,
                     ratio,
                     marker="o",
                     ms=4,
                     lw=1.7,
                     color=WEATHER_COLOURS.get(condition_name(weather), INK),
-                    label=word,
+                    label=label,
                 )
-            axes.set_xticks(places, [f"{a:g}-{b:g}" for a, b in pairwise(table["edges_m"])])
+            axes.set_xticks(positions, [f"{a:g}-{b:g}" for a, b in pairwise(table["edges_m"])])
             axes.set(xlabel="distance (m)", ylabel="points over normal")
             axes.set_title(f"{side.title}, {name}")
             axes.grid(visible=True)
@@ -327,11 +328,11 @@ def radar_maps(sides: Sequence[ComparedDataset]) -> "Figure | None":
     with house_style():
         figure = new_figure(5.5 * len(drawn), 4.8)
         panels = figure.subplots(1, len(drawn), squeeze=False)[0]
-        for axes, (side, found) in zip(panels, drawn, strict=True):
-            far = (found["range_m"] >= 15.0) & (found["range_m"] <= 107.0)
-            above_db = found["map_db"] - np.median(found["map_db"][far])
+        for axes, (side, radar) in zip(panels, drawn, strict=True):
+            far = (radar["range_m"] >= 15.0) & (radar["range_m"] <= 107.0)
+            above_db = radar["map_db"] - np.median(radar["map_db"][far])
             image = axes.pcolormesh(
-                found["azimuth_deg"], found["range_m"], above_db, vmin=-4, vmax=12, cmap="viridis", rasterized=True
+                radar["azimuth_deg"], radar["range_m"], above_db, vmin=-4, vmax=12, cmap="viridis", rasterized=True
             )
             axes.invert_xaxis()  # left is positive, as one would see it
             axes.set(xlabel="azimuth (degrees; left is positive)", ylabel="range (m)")
@@ -348,8 +349,8 @@ def radar_levels(sides: Sequence[ComparedDataset]) -> "Figure | None":
     with house_style():
         figure = new_figure(11.0, 3.9)
         left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
-        for side, colour, found in drawn:
-            left.plot(found["range_m"], found["profile_db"], color=colour, lw=1.5, label=side.title)
+        for side, colour, radar in drawn:
+            left.plot(radar["range_m"], radar["profile_db"], color=colour, lw=1.5, label=side.title)
             row = side.summary["radar"]["row_quantiles_db"]
             right.plot([float(q) for q in row], list(row.values()), color=colour, marker="o", ms=4, lw=1.5)
         right.plot(
@@ -403,8 +404,8 @@ def from_above(sides: Sequence[ComparedDataset]) -> "Figure | None":
     ]
     if not panels:
         return None
-    reaches = [effective_range_m(side.summary["clouds"][name]) for side, name, _ in panels]
-    window_m = max([50.0, *(1.1 * reach for reach in reaches if reach)])
+    reaches_m = [effective_range_m(side.summary["clouds"][name]) for side, name, _ in panels]
+    window_m = max([50.0, *(1.1 * reach_m for reach_m in reaches_m if reach_m)])
     across = min(len(panels), 4)
     down = -(-len(panels) // across)
     with house_style():
@@ -412,22 +413,22 @@ def from_above(sides: Sequence[ComparedDataset]) -> "Figure | None":
         grid = figure.subplots(down, across, squeeze=False).ravel()
         for axes in grid[len(panels) :]:
             axes.set_axis_off()
-        for axes, (side, name, colour), reach in zip(grid, panels, reaches, strict=False):
+        for axes, (side, name, colour), reach_m in zip(grid, panels, reaches_m, strict=False):
             points = side.arrays[f"sweep/{name}"]["xy_m"]
             axes.scatter(points[:, 1], points[:, 0], s=0.25, c=colour, linewidths=0, rasterized=True)
             for ring in np.arange(50.0, window_m, 50.0):
                 axes.add_patch(_circle(ring, MUTED, "-", 0.4))
-            if reach:
-                axes.add_patch(_circle(reach, INK, (0, (4, 2)), 1.0))
+            if reach_m:
+                axes.add_patch(_circle(reach_m, INK, (0, (4, 2)), 1.0))
             axes.set(xlim=(window_m, -window_m), ylim=(-window_m, window_m), aspect="equal")  # y points left
             axes.set(xlabel="y (m)", ylabel="x (m)")
-            axes.set_title(_sweep_title(side, name, reach))
+            axes.set_title(_sweep_title(side, name, reach_m))
     return figure
 
 
-def _sweep_title(side: ComparedDataset, name: str, reach: float | None) -> str:
-    told = f"{side.title}, {name}"
-    return told if reach is None else f"{told}\n{reach:.0f} m: {reaction_s(reach):.1f} s at {SPEED_MPH:.0f} mph"
+def _sweep_title(side: ComparedDataset, name: str, reach_m: float | None) -> str:
+    title = f"{side.title}, {name}"
+    return title if reach_m is None else f"{title}\n{reach_m:.0f} m: {reaction_s(reach_m):.1f} s at {SPEED_MPH:.0f} mph"
 
 
 def _circle(radius: float, colour: str, dash: Any, width: float) -> Any:

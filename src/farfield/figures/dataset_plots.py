@@ -35,8 +35,8 @@ def frames_by_condition(summary: Summary) -> "Figure | None":
         panels = figure.subplots(1, len(kinds), squeeze=False)[0]
         for axes, (kind, counts) in zip(panels, kinds.items(), strict=True):
             names = list(counts)[::-1]
-            known, other = (WEATHER_COLOURS, MUTED) if kind == "weather" else (TIME_COLOURS, PATTERNS[0])
-            colours = [known.get(name, other) for name in names]
+            palette, other = (WEATHER_COLOURS, MUTED) if kind == "weather" else (TIME_COLOURS, PATTERNS[0])
+            colours = [palette.get(name, other) for name in names]
             bars = axes.barh([spoken(name) for name in names], [counts[name] for name in names], color=colours)
             shares = [counts[name] / max(summary["frames"], 1) for name in names]
             texts = [f"{counts[name]:,}  ({share:.0%})" for name, share in zip(names, shares, strict=True)]
@@ -101,8 +101,8 @@ def ranges(summary: Summary, arrays: Mapping[str, np.ndarray]) -> "Figure | None
     if not len(arrays["range_m"]):
         return None
     names, table = list(summary["classes"])[:5], summary["visibility_by"].get("range")
-    reach = 10.0 * np.ceil(max(float(np.quantile(arrays["range_m"], 0.9995)), 10.0) / 10.0)
-    edges = np.arange(0.0, reach + 10.0, 10.0)
+    reach_m = 10.0 * np.ceil(max(float(np.quantile(arrays["range_m"], 0.9995)), 10.0) / 10.0)
+    edges = np.arange(0.0, reach_m + 10.0, 10.0)
     with house_style():
         figure = new_figure(11.0, 3.8)
         left, right = figure.subplots(1, 2) if table else (figure.subplots(), None)
@@ -110,7 +110,7 @@ def ranges(summary: Summary, arrays: Mapping[str, np.ndarray]) -> "Figure | None
         for name, colour in zip(names, colours, strict=False):
             count, _ = np.histogram(arrays["range_m"][arrays["name"] == name], edges)
             left.stairs(np.maximum(count, 0.5), edges, baseline=None, color=colour, lw=1.8, label=spoken(name))
-        left.set(yscale="log", ylim=(0.7, None), xlim=(0, reach), xlabel="range (m)", ylabel="boxes in each 10 m")
+        left.set(yscale="log", ylim=(0.7, None), xlim=(0, reach_m), xlabel="range (m)", ylabel="boxes in each 10 m")
         left.grid(visible=True)
         left.legend(loc="upper right")
         left.set_title("Boxes by range")
@@ -288,7 +288,7 @@ def ranges_of_classes(objects: Mapping[str, Any]) -> "Figure":
         first.hist(range_m[vehicles], bins=np.arange(0.0, 260.0, 10.0).tolist(), color=ANNOTATED)
         first.set(xlabel="range (m)", ylabel="annotated vehicles", xlim=(0, _REACH_M))
         order = np.argsort(counts)
-        second.barh([str(names[each]).replace("_", " ") for each in order], counts[order], color=ANNOTATED)
+        second.barh([str(names[row]).replace("_", " ") for row in order], counts[order], color=ANNOTATED)
         second.set(xscale="log", xlabel="annotated objects", xlim=(0.7, None))
     return figure
 

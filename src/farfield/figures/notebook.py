@@ -109,8 +109,8 @@ def _usual(config: Any) -> Boxes | None:
     )
 
 
-def _words(thing: Any) -> str:
-    return f"<div><code>{escape(repr(thing))}</code></div>"
+def _words(shown: Any) -> str:
+    return f"<div><code>{escape(repr(shown))}</code></div>"
 
 
 def _picture(figure: "Figure", what: str) -> str:

@@ -43,15 +43,15 @@ def precision_recall(results: Mapping[str, Mapping[str, Any]]) -> "Figure":
         )
         figure.subplots_adjust(wspace=0.06, hspace=0.2)
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for place, axes in enumerate(grid.ravel()):
-            if place >= len(drawn):
+        for panel_index, axes in enumerate(grid.ravel()):
+            if panel_index >= len(drawn):
                 axes.set_axis_off()
                 continue
-            name, panel = drawn[place]
+            name, panel = drawn[panel_index]
             _draw_curves(axes, panel)
             axes.set_title(", ".join(filter(None, [pattern_title(name), panel.title])))
-            axes.set_ylabel("precision" if place % columns == 0 else "")
-            axes.set_xlabel("recall" if place + columns >= len(drawn) else "")
+            axes.set_ylabel("precision" if panel_index % columns == 0 else "")
+            axes.set_xlabel("recall" if panel_index + columns >= len(drawn) else "")
         shown: dict[str, Any] = {}
         for axes in grid.ravel():
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -67,11 +67,11 @@ def _draw_curves(axes: "Axes", panel: CurvePanel) -> None:
     axes.set_xticks(np.linspace(0, 1, 6))
     if not panel.lines:
         axes.text(0.5, 0.5, "nothing annotated", ha="center", va="center", color=MUTED, transform=axes.transAxes)
-    for place, line in enumerate(panel.lines):
+    for index, line in enumerate(panel.lines):
         recall, precision = (np.asarray(values, dtype=np.float64) for values in (line.recall, line.precision))
         reached = np.flatnonzero(precision > 0)
         end = int(reached[-1]) + 1 if len(reached) else 0
-        colour = THRESHOLDS[min(place, len(THRESHOLDS) - 1)]
+        colour = THRESHOLDS[min(index, len(THRESHOLDS) - 1)]
         axes.plot(recall[:end], precision[:end], color=colour, lw=1.8, label=line.name)
         if 0 < end < len(recall):
             axes.plot(recall[end - 1], precision[end - 1], marker="o", ms=3.5, color=colour)
@@ -81,7 +81,7 @@ def points_against_range(objects: Mapping[str, Mapping[str, Any]], *, edges_m: S
     """Points inside each annotated box over its range, found or missed: why far objects are hard.
 
     Args:
-        objects: Lists ``range_m``, ``point_count``, ``found`` by result name, see
+        objects: Lists ``range_m``, ``point_count``, ``is_found`` by result name, see
             :func:`farfield.evaluation.report_data.annotated_objects`.
         edges_m: Ranges to mark.
     """
@@ -92,9 +92,9 @@ def points_against_range(objects: Mapping[str, Mapping[str, Any]], *, edges_m: S
         for axes, (name, rows) in zip(panels, objects.items(), strict=True):
             range_m = np.asarray(rows["range_m"], dtype=np.float64)
             count = np.asarray(rows["point_count"], dtype=np.float64)
-            found = np.asarray(rows["found"], dtype=bool)
+            is_found = np.asarray(rows["found"], dtype=bool)
             size = float(np.clip(6000 / max(len(range_m), 1), 4, 22))
-            for mask, colour, label in ((found, ANNOTATED, "found"), (~found, PREDICTED, "missed")):
+            for mask, colour, label in ((is_found, ANNOTATED, "found"), (~is_found, PREDICTED, "missed")):
                 shown = np.maximum(count[mask], 0.5)  # empty boxes stand on the lowest line
                 axes.scatter(
                     range_m[mask], shown, s=size, c=colour, alpha=0.55, linewidths=0, label=label, rasterized=True
@@ -106,11 +106,11 @@ def points_against_range(objects: Mapping[str, Mapping[str, Any]], *, edges_m: S
             axes.set_xlim(0, 1.02 * farthest_m)
             axes.grid(visible=True)
             _mark_ranges(axes, edges_m)
-            share = f"{found.mean():.0%} of {len(found)} found" if len(found) else "no objects"
+            share = f"{is_found.mean():.0%} of {len(is_found)} found" if len(is_found) else "no objects"
             axes.set_title(f"{pattern_title(name)}: {share}")
             axes.set_xlabel("range (m)")
-        words = {returns_word(str(rows.get("kind", "")), many=True) for rows in objects.values()}
-        panels[0].set_ylabel(f"{' or '.join(sorted(words))} inside the annotated box")
+        units = {returns_word(str(rows.get("kind", "")), many=True) for rows in objects.values()}
+        panels[0].set_ylabel(f"{' or '.join(sorted(units))} inside the annotated box")
         handles, names = panels[0].get_legend_handles_labels()
         legend = figure.legend(handles, names, loc="outside lower center", ncols=2, markerscale=1.6)
         for handle in legend.legend_handles:
@@ -159,16 +159,16 @@ def scan_patterns(clouds: Mapping[str, Cloud], *, edges_m: Sequence[float] = RAN
 def _draw_view(axes: "Axes", cloud: Cloud) -> None:
     """One picture of the nearest return's range a pixel; a point is four pixels, about as large as a marker."""
     x, y, z = cloud.points_m.astype(np.float64).T
-    flat_m = np.hypot(x, y)
-    angles_deg = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.maximum(flat_m, 1e-6)))
+    ground_range_m = np.hypot(x, y)
+    angles_deg = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.maximum(ground_range_m, 1e-6)))
     (right, left), (low, high) = _VIEW_DEG
     shape = (high - low) * _VIEW_PIXELS_DEG[1], (left - right) * _VIEW_PIXELS_DEG[0]
     column = np.floor((left - angles_deg[0]) * _VIEW_PIXELS_DEG[0]).astype(np.int64)
     row = np.floor((angles_deg[1] - low) * _VIEW_PIXELS_DEG[1]).astype(np.int64)
-    seen = (column >= 0) & (column < shape[1] - 1) & (row >= 0) & (row < shape[0] - 1)
-    near_last = np.flatnonzero(seen)[np.argsort(-flat_m[seen])]
+    inside = (column >= 0) & (column < shape[1] - 1) & (row >= 0) & (row < shape[0] - 1)
+    near_last = np.flatnonzero(inside)[np.argsort(-ground_range_m[inside])]
     picture = np.zeros((*shape, 4), dtype=np.uint8)
-    colours = _range_colours()(flat_m[near_last] / _VIEW_END_M, bytes=True)
+    colours = _range_colours()(ground_range_m[near_last] / _VIEW_END_M, bytes=True)
     for across, up in ((0, 0), (0, 1), (1, 0), (1, 1)):
         picture[row[near_last] + up, column[near_last] + across] = colours
     extent = (float(left), float(right), float(low), float(high))  # left is positive, as one would see it
@@ -186,8 +186,10 @@ def _range_colours() -> "Colormap":
 
 def _draw_range_scale(figure: "Figure", beside: "Axes") -> None:
     """What the colours of a view mean, as a bar at its right."""
-    place = beside.get_position()
-    axes = figure.add_axes((place.x1 + 0.012, place.y0 + 0.05 * place.height, 0.012, 0.9 * place.height))
+    rectangle = beside.get_position()
+    axes = figure.add_axes(
+        (rectangle.x1 + 0.012, rectangle.y0 + 0.05 * rectangle.height, 0.012, 0.9 * rectangle.height)
+    )
     scale = _range_colours()(np.linspace(0, 1, 256), bytes=True)[:, None]
     axes.imshow(scale, origin="lower", extent=(0, 1, 0, _VIEW_END_M), interpolation="none", aspect="auto")
     axes.set_xticks([])
@@ -197,10 +199,10 @@ def _draw_range_scale(figure: "Figure", beside: "Axes") -> None:
 
 
 def _draw_range_counts(axes: "Axes", clouds: Mapping[str, Cloud], edges_m: Sequence[float]) -> None:
-    for place, (name, cloud) in enumerate(clouds.items()):
-        flat = np.hypot(cloud.points_m[:, 0], cloud.points_m[:, 1])
-        count, _ = np.histogram(flat, bins=_RANGE_BINS_M)
-        colour = PATTERNS[place % len(PATTERNS)]
+    for index, (name, cloud) in enumerate(clouds.items()):
+        ground_range_m = np.hypot(cloud.points_m[:, 0], cloud.points_m[:, 1])
+        count, _ = np.histogram(ground_range_m, bins=_RANGE_BINS_M)
+        colour = PATTERNS[index % len(PATTERNS)]
         axes.stairs(
             np.maximum(count, 0.5), _RANGE_BINS_M, baseline=None, color=colour, lw=1.8, label=pattern_title(name)
         )

@@ -1,7 +1,7 @@
 """A radar's pictures: one frame with all its views, its power from above, and one moment in several weathers."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -25,10 +25,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-_HALF_STEP_M = CUBE_STEP_M / 2
 _ASIDE_M, _LOW_M, _HIGH_M = 50.0, -6.0, 14.0
-_POWER, _VELOCITY = "magma", "coolwarm"
-_BOX = "#3ddbd9"
+ANNOTATED_ON_MAP, PREDICTED_ON_MAP = "#3ddbd9", "#ffd43b"
+"""Colours of boxes that stand out from the map's dark ground."""
+SECOND = "#ff8cc6"
+"""Colour of a second detector's boxes on a map."""
+_POWER_COLOURS, _VELOCITY_COLOURS = "magma", "coolwarm"
 _SPAN_M_S = KRADAR_AXES.velocity_span_m_s / 2
 STANDING_M_S = 0.4
 _DIM_DB, _BRIGHT_DB = 0.4, 1.4  # above the floor: where a velocity begins to show, and where it shows fully
@@ -47,7 +49,7 @@ def radar_picture(look: RadarLook) -> "Figure":
         front, side = figure.add_subplot(top[0, 1]), figure.add_subplot(top[1, 1])
         _draw_front(front, look)
         _draw_side(side, look)
-        bird, doppler, polar = (figure.add_subplot(below[0, place]) for place in range(3))
+        bird, doppler, polar = (figure.add_subplot(below[0, column]) for column in range(3))
         image = _draw_bird(bird, look)
         figure.colorbar(image, ax=bird, location="bottom", label="mean power, dB", shrink=0.9, aspect=30)
         dots = _draw_doppler(doppler, look)
@@ -58,8 +60,8 @@ def radar_picture(look: RadarLook) -> "Figure":
 
 def frame_words(look: RadarLook) -> str:
     """Which frame it is, and in which conditions."""
-    said = ", ".join(look.conditions[kind].replace("_", " ") for kind in CONDITIONS if kind in look.conditions)
-    parts = [f"sequence {look.key[0]}, frame {look.key[1]}", said, f"from {' and '.join(look.views.products)}"]
+    conditions = ", ".join(look.conditions[kind].replace("_", " ") for kind in CONDITIONS if kind in look.conditions)
+    parts = [f"sequence {look.key[0]}, frame {look.key[1]}", conditions, f"from {' and '.join(look.views.products)}"]
     return "; ".join(part for part in [*parts, "simulated" * look.simulated] if part)
 
 
@@ -67,23 +69,49 @@ def _velocity_words(look: RadarLook) -> str:
     return "radial velocity " + ("as measured, wrapped" if look.velocity_m_s is None else "over ground") + ", m/s"
 
 
-def power_levels(values: Float[np.ndarray, "_ _"]) -> tuple[float, float]:
-    """Where a map's colours begin and end: near its floor and near its strongest echoes."""
-    inside = values[np.isfinite(values)]
-    least, most = np.percentile(inside, [20.0, 99.8]) if inside.size else (0.0, 1.0)
-    return float(least), float(max(most, least + 6.0))
+def power_levels(power_db: Float[np.ndarray, "_ _"]) -> tuple[float, float]:
+    """Where a map's colours begin and end: near its floor and near its strongest echoes, 6 dB apart or more."""
+    finite_db = power_db[np.isfinite(power_db)]
+    floor_db, peak_db = np.percentile(finite_db, [20.0, 99.8]) if finite_db.size else (0.0, 1.0)
+    return float(floor_db), float(max(peak_db, floor_db + 6.0))
 
 
-def cube_extent(across: np.ndarray, along: np.ndarray) -> tuple[float, float, float, float]:
-    """Edges of a map of the cube's cells, whose middles lie at these places of the horizontal and the vertical axis."""
-    return across[0] - _HALF_STEP_M, across[-1] + _HALF_STEP_M, along[0] - _HALF_STEP_M, along[-1] + _HALF_STEP_M
+def cube_extent(u_m: Float[np.ndarray, " u"], v_m: Float[np.ndarray, " v"]) -> tuple[float, float, float, float]:
+    """Edges of a map of the cube's cells with these centres on the horizontal and the vertical axis, metres."""
+    half_m = CUBE_STEP_M / 2
+    return u_m[0] - half_m, u_m[-1] + half_m, v_m[0] - half_m, v_m[-1] + half_m
 
 
-def _show(axes: "Axes", values: np.ndarray, across: np.ndarray, along: np.ndarray) -> Any:
-    axes.set_facecolor(RULE)
-    low, high = power_levels(values)
-    extent = cube_extent(across, along)
-    return axes.imshow(values, origin="lower", extent=extent, cmap=_POWER, aspect="auto", vmin=low, vmax=high)
+def draw_power(
+    axes: "Axes",
+    power_db: Float[np.ndarray, "v u"],
+    u_m: Float[np.ndarray, " u"] = CUBE_X_M,
+    v_m: Float[np.ndarray, " v"] = CUBE_Y_M,
+    *,
+    aspect: Literal["auto", "equal"] = "equal",
+    ground: str = "black",
+) -> "AxesImage":
+    """Draw a map of the power in K-Radar's cube, from its floor to its strongest echoes: the way of every radar map.
+
+    Args:
+        axes: Where to draw.
+        power_db: The power in dB; NaN where there is none.
+        u_m: Centres of its columns on the horizontal axis, metres; x from above unless given.
+        v_m: Centres of its rows on the vertical axis; y from above unless given.
+        aspect: Whether a metre is as long on both axes.
+        ground: Colour where there is no power.
+    """
+    floor_db, peak_db = power_levels(power_db)
+    axes.set_facecolor(ground)
+    return axes.imshow(
+        power_db,
+        origin="lower",
+        extent=cube_extent(u_m, v_m),
+        cmap=_POWER_COLOURS,
+        vmin=floor_db,
+        vmax=peak_db,
+        aspect=aspect,
+    )
 
 
 def _dots(axes: "Axes", across: np.ndarray, along: np.ndarray, velocity: np.ndarray, size: Any) -> Any:
@@ -93,7 +121,7 @@ def _dots(axes: "Axes", across: np.ndarray, along: np.ndarray, velocity: np.ndar
         along,
         c=velocity,
         s=size,
-        cmap=_VELOCITY,
+        cmap=_VELOCITY_COLOURS,
         vmin=-_SPAN_M_S,
         vmax=_SPAN_M_S,
         edgecolors=INK,
@@ -124,7 +152,7 @@ def _draw_camera(axes: "Axes", look: RadarLook) -> None:
         return
     axes.set_title("Camera with boxes and the echoes' peaks")
     if look.boxes is not None:
-        axes.add_collection(LineCollection(box_lines(look.boxes, look.camera), colors=_BOX, linewidths=1.1))
+        axes.add_collection(LineCollection(box_lines(look.boxes, look.camera), colors=ANNOTATED_ON_MAP, linewidths=1.1))
     echoes = look.views.echoes
     if echoes is not None:
         velocity, moving = _coloured(look, echoes)
@@ -137,7 +165,7 @@ def _draw_camera(axes: "Axes", look: RadarLook) -> None:
         _dots(axes, pixels[shown, 0], pixels[shown, 1], velocity[shown], 22)
 
 
-def _outline(axes: "Axes", look: RadarLook, across: int, along: int, *, colour: str = _BOX) -> None:
+def _outline(axes: "Axes", look: RadarLook, across: int, along: int, *, colour: str = ANNOTATED_ON_MAP) -> None:
     """The annotated boxes' extents in a plane; axes 0 to 2 are x, y and z."""
     if look.boxes is None or not len(look.boxes):
         return
@@ -154,21 +182,21 @@ def _outline(axes: "Axes", look: RadarLook, across: int, along: int, *, colour: 
 
 
 def _draw_front(axes: "Axes", look: RadarLook) -> None:
-    _show(axes, look.views.front_db, CUBE_Y_M, CUBE_Z_M)
+    draw_power(axes, look.views.front_db, CUBE_Y_M, CUBE_Z_M, aspect="auto", ground=RULE)
     _outline(axes, look, 1, 2)
     axes.set(xlim=(_ASIDE_M, -_ASIDE_M), ylim=(_LOW_M, _HIGH_M), xlabel="y (m), left is positive", ylabel="z (m)")
     axes.set_title("BFS-2D from the front: strongest power over x")
 
 
 def _draw_side(axes: "Axes", look: RadarLook) -> None:
-    _show(axes, look.views.side_db, CUBE_X_M, CUBE_Z_M)
+    draw_power(axes, look.views.side_db, CUBE_X_M, CUBE_Z_M, aspect="auto", ground=RULE)
     _outline(axes, look, 0, 2)
     axes.set(xlim=(0, CUBE_X_M[-1]), ylim=(_LOW_M, _HIGH_M), xlabel="x (m), ahead", ylabel="z (m)")
     axes.set_title("BFS-2D from the side: strongest power over y")
 
 
 def _draw_bird(axes: "Axes", look: RadarLook) -> Any:
-    image = _show(axes, look.views.bird_db.T, CUBE_Y_M, CUBE_X_M)
+    image = draw_power(axes, look.views.bird_db.T, CUBE_Y_M, CUBE_X_M, aspect="auto", ground=RULE)
     _outline(axes, look, 1, 0)
     _frame_ahead(axes)
     axes.set_title("BEV-2D: mean power over height")
@@ -216,7 +244,7 @@ def _draw_polar(figure: "Figure", axes: "Axes", look: RadarLook) -> None:
         return
     above_db = views.polar_db - np.nanmedian(views.polar_db[KRADAR_AXES.range_m > 15.0])
     share = np.clip((above_db - _DIM_DB) / (_BRIGHT_DB - _DIM_DB), 0.0, 1.0)[..., None]
-    colours = colormaps[_VELOCITY](views.wrapped_m_s / (2 * _SPAN_M_S) + 0.5)[..., :3]
+    colours = colormaps[_VELOCITY_COLOURS](views.wrapped_m_s / (2 * _SPAN_M_S) + 0.5)[..., :3]
     ground = np.array(to_rgb(_GROUND))
     azimuth = KRADAR_AXES.azimuth_deg
     axes.imshow(
@@ -226,14 +254,12 @@ def _draw_polar(figure: "Figure", axes: "Axes", look: RadarLook) -> None:
         aspect="auto",
     )
     axes.set(xlim=(azimuth[-1], azimuth[0]), ylim=(0, float(KRADAR_AXES.range_m[-1])))
-    scale = ScalarMappable(Normalize(-_SPAN_M_S, _SPAN_M_S), _VELOCITY)
+    scale = ScalarMappable(Normalize(-_SPAN_M_S, _SPAN_M_S), _VELOCITY_COLOURS)
     figure.colorbar(scale, ax=axes, location="bottom", label="radial velocity as measured, m/s", shrink=0.9, aspect=30)
 
 
 # A radar's power from above, with the annotated boxes: of its products, or of its points where there are no others.
 
-POWER_COLOURS = "magma"
-_ON_DARK = "#3ddbd9"  # annotated boxes on a map
 _STRENGTHS = {"rcs_dbsm": "RCS, dBsm", "power": "power, dB over 1e13", "snr_db": "SNR, dB"}
 
 
@@ -263,46 +289,45 @@ def radar_map(frame: Frame, predictions: Boxes | None = None) -> "Figure":
         if views is None:
             drawn, what, made_of = _points(axes, frame)
         else:
-            drawn, what = _image(axes, views.bird_db), "mean power over height, dB over 1e13"
+            drawn, what = _draw_product(axes, views.bird_db), "mean power over height, dB over 1e13"
             made_of = " and ".join(views.products)
-        outline = ANNOTATED if views is None else _ON_DARK
+        outline = ANNOTATED if views is None else ANNOTATED_ON_MAP
         for boxes, colour in ((frame.boxes, outline), (predictions, PREDICTED)):
             if boxes is not None:
                 draw_boxes(axes, boxes, colour, line_width=1.2, order=4)
         figure.colorbar(drawn, ax=axes, location="right", label=what, shrink=0.9)
-        said = ", ".join(word.replace("_", " ") for word in frame.conditions.values())
+        conditions = ", ".join(value.replace("_", " ") for value in frame.conditions.values())
         axes.set(xlabel="x ahead (m)", ylabel="y left (m)", aspect="equal")
-        axes.set_title("; ".join(filter(None, [f"{frame.sequence}, {frame.frame_id}", said, f"from {made_of}"])))
+        axes.set_title("; ".join(filter(None, [f"{frame.sequence}, {frame.frame_id}", conditions, f"from {made_of}"])))
     return figure
 
 
-def _image(axes: "Axes", bird_db: Float[np.ndarray, "y x"]) -> Any:
-    low, high = power_levels(bird_db)
-    extent = cube_extent(CUBE_X_M, CUBE_Y_M)
+def _draw_product(axes: "Axes", bird_db: Float[np.ndarray, "y x"]) -> "AxesImage":
+    """The power from above; where cells of a region leave the rest of the cube empty, no more than what they fill."""
+    image = draw_power(axes, bird_db, ground=RULE)
     filled = np.isfinite(bird_db)
-    drawn = axes.imshow(bird_db, origin="lower", extent=extent, cmap=POWER_COLOURS, vmin=low, vmax=high)
-    ahead, aside = CUBE_X_M[filled.any(axis=0)], CUBE_Y_M[filled.any(axis=1)]
-    if len(ahead) and len(aside):  # cells of a region leave the rest of the cube empty
-        axes.set(xlim=(max(ahead[0], 0.0), ahead[-1]), ylim=(aside[0], aside[-1]))
-    return drawn
+    x_m, y_m = CUBE_X_M[filled.any(axis=0)], CUBE_Y_M[filled.any(axis=1)]
+    if len(x_m) and len(y_m):
+        axes.set(xlim=(max(x_m[0], 0.0), x_m[-1]), ylim=(y_m[0], y_m[-1]))
+    return image
 
 
 def _points(axes: "Axes", frame: Frame) -> tuple[Any, str, str]:
     """The points of the first radar cloud, coloured by their strength."""
     name = next((n for n in frame.clouds if n in frame.sensors and frame.sensors[n].kind == "radar"), None)
     if name is None:
-        there = ", ".join([*frame.radar, *frame.clouds, *frame.images]) or "nothing"
+        present = ", ".join([*frame.radar, *frame.clouds, *frame.images]) or "nothing"
         raise DatasetError(
             f"frame {frame.key}: there is no radar: expected one of {', '.join(PRODUCTS)} or a radar's cloud, found "
-            f"{there}"
+            f"{present}"
         )
     cloud = frame.cloud(name)
-    column = next((each for each in _STRENGTHS if each in cloud.columns), "z_m")
+    column = next((candidate for candidate in _STRENGTHS if candidate in cloud.columns), "z_m")
     values = cloud.column(column)
     if column == "power":
         values = 10 * np.log10(np.maximum(values, 1e-9))
     x, y, _ = cloud.points_m.T
-    drawn = axes.scatter(x, y, c=values, s=9, cmap=POWER_COLOURS, linewidths=0)
+    drawn = axes.scatter(x, y, c=values, s=9, cmap=_POWER_COLOURS, linewidths=0)
     left, right, low, high = fitting_window(cloud, frame.boxes)
     axes.set(xlim=(left, right), ylim=(low, high))
     return drawn, _STRENGTHS.get(column, "height, m"), f"the cloud {name}"
@@ -311,10 +336,6 @@ def _points(axes: "Axes", frame: Frame) -> tuple[Any, str, str]:
 # A radar frame's power from above, with boxes.
 
 _OTHERS = "#adb5bd"
-ANNOTATED_ON_MAP, PREDICTED_ON_MAP = "#3ddbd9", "#ffd43b"
-"""Colours of boxes that stand out from the map's dark ground."""
-SECOND = "#ff8cc6"
-"""Colour of a second detector's boxes on a map."""
 _DETECTOR_COLOURS = (("yellow", PREDICTED_ON_MAP), ("pink", SECOND))
 _MAP_ASIDE_M = 40.0
 
@@ -345,34 +366,22 @@ def power_map(
         window = (0.0, reach_m, -_MAP_ASIDE_M, _MAP_ASIDE_M)
         draw_rings(axes, window, rings_m, colour="white")
         if annotated is not None:
-            asked = of_classes(annotated, labels)
-            draw_boxes(axes, annotated[~asked], _OTHERS, line_width=0.8, order=3)
-            draw_boxes(axes, annotated[asked], ANNOTATED_ON_MAP, line_width=1.8, order=4)
-        for place, (boxes, (_, colour)) in enumerate(zip(sets.values(), _DETECTOR_COLOURS, strict=False)):
-            draw_boxes(axes, boxes, colour, line_width=1.0, order=5 + place)
+            counts = of_classes(annotated, labels)
+            draw_boxes(axes, annotated[~counts], _OTHERS, line_width=0.8, order=3)
+            draw_boxes(axes, annotated[counts], ANNOTATED_ON_MAP, line_width=1.8, order=4)
+        for index, (boxes, (_, colour)) in enumerate(zip(sets.values(), _DETECTOR_COLOURS, strict=False)):
+            draw_boxes(axes, boxes, colour, line_width=1.0, order=5 + index)
         axes.set(xlim=window[:2], ylim=window[2:], xlabel="x forward (m)", ylabel="y left (m)")
         axes.set_title("; ".join(["Blue-green: annotated", *_legend_words(list(sets))]))
         figure.colorbar(shown, ax=axes, label="mean power, dB", shrink=0.8, pad=0.02)
     return figure
 
 
-def draw_power(axes: "Axes", power_db: Float[np.ndarray, "y x"]) -> "AxesImage":
-    """Draw the power of K-Radar's cube as an image in metres."""
-    half = CUBE_STEP_M / 2
-    extent = (CUBE_X_M[0] - half, CUBE_X_M[-1] + half, CUBE_Y_M[0] - half, CUBE_Y_M[-1] + half)
-    inside = power_db[np.isfinite(power_db)]
-    low, high = np.percentile(inside, [20.0, 99.8]) if inside.size else (0.0, 1.0)
-    axes.set_facecolor("black")
-    return axes.imshow(
-        power_db, origin="lower", extent=extent, cmap="magma", vmin=low, vmax=max(high, low + 6.0), aspect="equal"
-    )
-
-
 def _legend_words(clouds: Sequence[str]) -> list[str]:
     """Whose predictions have which colour."""
     return [
-        f"{word}: predicted{f' from {cloud}' if cloud else ''}"
-        for cloud, (word, _) in zip(clouds, _DETECTOR_COLOURS, strict=False)
+        f"{colour_name}: predicted{f' from {cloud}' if cloud else ''}"
+        for cloud, (colour_name, _) in zip(clouds, _DETECTOR_COLOURS, strict=False)
     ]
 
 

@@ -30,7 +30,7 @@ def glossary(presentation: Presentation, kinds: Collection[str]) -> Words:
         presentation: What the protocol states.
         kinds: Kinds of the sensors whose clouds are shown.
     """
-    sensors = tuple(words for kind, words in _SENSORS.items() if kind in kinds)
+    sensors = tuple(terms for kind, terms in _SENSORS.items() if kind in kinds)
     box, recall, precision, interval = BASICS
     return (*sensors, box, recall, precision, *presentation.glossary, interval)
 
@@ -41,24 +41,24 @@ def headline(results: Results, protocol: Protocol, presentation: Presentation) -
         return "Pictures only: nothing was scored."
     score = presentation.main
     scored = {name: figure(result, score) if score else None for name, result in results.items()}
-    known = {name: value for name, value in scored.items() if value is not None}
-    if not known:
+    reached_by_name = {name: value for name, value in scored.items() if value is not None}
+    if not reached_by_name:
         return "Nothing is annotated in the region that counts, so there is no score."
     label = next((label for result in results.values() if (label := _label(result))), "object")
     unit = protocol.presenter.unit(score)
     reached = _enumerated(
         [
             _value(value, unit) + _beside(results[n], protocol, presentation) + f" on {_short(n)}"
-            for n, value in known.items()
+            for n, value in reached_by_name.items()
         ]
     )
     perfect = {"": ", 1 is perfect", "%": ", 100 is perfect"}.get(unit, "")
-    of = "" if "," in label else f"{label} detection "  # of several classes, the score's name says which
-    first = f"Overall {of}score ({protocol.presenter.title(score)}{perfect}): {reached}."
-    best = max(known, key=lambda name: known[name])
+    subject = "" if "," in label else f"{label} detection "  # of several classes, the score's name says which
+    first = f"Overall {subject}score ({protocol.presenter.title(score)}{perfect}): {reached}."
+    best = max(reached_by_name, key=lambda name: reached_by_name[name])
     by_range = [(range_name(part), figure(results[best], score, part=part)) for part in part_names(results[best])]
     falls = [f"{_value(value, unit)} from {name}" for name, value in by_range if value is not None]
-    only = "" if len(known) == 1 else f"On {_short(best)} it"
+    only = "" if len(reached_by_name) == 1 else f"On {_short(best)} it"
     return first + (f" {only or 'It'} is {_enumerated(falls)}." if len(falls) > 1 else "")
 
 
@@ -82,17 +82,19 @@ def _beside(result: Mapping[str, Any], protocol: Protocol, presentation: Present
 
 def subjects(results: Results) -> list[str]:
     """What each result is of, in one line each; nothing for results from before they said so."""
-    found = (Subject.from_json(result.get("subject")) for result in results.values())
-    return [str(subject) for subject in found if subject is not None]
+    stated = (Subject.from_json(result.get("subject")) for result in results.values())
+    return [str(subject) for subject in stated if subject is not None]
 
 
 def notes(results: Results) -> list[str]:
     """What was assumed or left out, each once, with the results that it holds for where they are not all."""
-    said: dict[str, list[str]] = {}
+    results_by_note: dict[str, list[str]] = {}
     for name, result in results.items():
         for note in result.get("notes") or ():
-            said.setdefault(str(note), []).append(name)
-    return [note if len(names) == len(results) else f"{', '.join(names)}: {note}" for note, names in said.items()]
+            results_by_note.setdefault(str(note), []).append(name)
+    return [
+        note if len(names) == len(results) else f"{', '.join(names)}: {note}" for note, names in results_by_note.items()
+    ]
 
 
 def scope(results: Results) -> str:

@@ -104,10 +104,12 @@ def _score_row(
 ) -> ScoreTableRow:
     number = counts(result, part=part)
     cells = {
-        each: TableCell(
-            figure(result, each, part=part), interval(result, each, part=part), protocol.presenter.unit(each)
+        figure_name: TableCell(
+            figure(result, figure_name, part=part),
+            interval(result, figure_name, part=part),
+            protocol.presenter.unit(figure_name),
         )
-        for each in names
+        for figure_name in names
     }
     return ScoreTableRow(name, part, number.get("annotated"), number.get("predictions"), cells)
 
@@ -163,7 +165,9 @@ def with_own_parts(results: Parts, parts: Parts) -> dict[str, dict[str, Any]]:
         counts = result.get("counts") or {}
         tree["counts"] |= counts.get("conditions") or {}
         tree["counts"] |= {"visibility": counts["visibility"]} if counts.get("visibility") else {}
-        tree["intervals"] |= {part: each for part, each in (result.get("intervals") or {}).items() if "/" in part}
+        tree["intervals"] |= {
+            part: interval for part, interval in (result.get("intervals") or {}).items() if "/" in part
+        }
         merged[name] = tree
     return merged
 
@@ -234,34 +238,37 @@ def class_rows(parts: Parts, names: Sequence[str], protocol: Protocol) -> list[P
         names: Figures to take.
         protocol: Says in which units they are shown.
     """
-    found = [name for label in _names(parts, ("classes",)) for name in _figure_names(parts, label)]
-    shown = [name for name in names if name in found] or list(dict.fromkeys(found))
+    present = [name for label in _names(parts, ("classes",)) for name in _figure_names(parts, label)]
+    chosen = [name for name in names if name in present] or list(dict.fromkeys(present))
     rows = []
     for label in _names(parts, ("classes",)):
         having = [name for name, part in parts.items() if label in (at(part, ("classes",)) or {})]
         for name in having:
             row = at(parts[name], ("classes", label))
             title = label.replace("_", " ")
-            rows.append(_class_row(row, title, name, shown, protocol, first=name == having[0]))
+            rows.append(_class_row(row, title, name, chosen, protocol, first=name == having[0]))
     means = {
         name: part["mean_of_classes"]
         for name, part in parts.items()
         if isinstance(part.get("mean_of_classes"), Mapping)
     }
-    for place, (name, row) in enumerate(means.items()):
+    for index, (name, row) in enumerate(means.items()):
         title = f"mean of {', '.join(row.get('of') or ())}".replace("_", " ")
-        rows.append(_class_row(row, title, name, shown, protocol, first=place == 0))
+        rows.append(_class_row(row, title, name, chosen, protocol, first=index == 0))
     return rows
 
 
 def _class_row(row: Any, title: str, result: str, shown: Sequence[str], protocol: Protocol, *, first: bool) -> PartRow:
     figures = at(row, ("figures",))
-    known = figures if isinstance(figures, Mapping) else {}
+    values = figures if isinstance(figures, Mapping) else {}
     return PartRow(
         title=title,
         result=result,
         first=first,
-        cells={each: TableCell(_number(known.get(each)), None, protocol.presenter.unit(each)) for each in shown},
+        cells={
+            figure_name: TableCell(_number(values.get(figure_name)), None, protocol.presenter.unit(figure_name))
+            for figure_name in shown
+        },
         annotated=_integer(row, "annotated"),
         why=str(at(row, ("why",)) or "")[:80].replace("_", " "),
     )
@@ -316,8 +323,8 @@ def class_table(result: Mapping[str, Any], parts: Mapping[str, Any]) -> str:
     if mean:
         rows[f"mean of {len(mean['of'])} classes"] = mean
     protocol = protocol_of(result)
-    found = list(dict.fromkeys(name for row in rows.values() for name in row.get("figures") or ()))
-    names = [name for name in _main_figures(protocol, result) if name in found] or found
+    present = list(dict.fromkeys(name for row in rows.values() for name in row.get("figures") or ()))
+    names = [name for name in _main_figures(protocol, result) if name in present] or present
     if not names:
         return ""
     lines = [
@@ -371,8 +378,8 @@ def conditional_rows(
         values += [value for value in result.get("conditions", {}).get(kind, {}) if value not in values]
     rows = []
     for name, result in results.items():
-        known = result.get("conditions", {}).get(kind, {})
-        parts = [result, *(known.get(value) for value in values)]
+        by_value = result.get("conditions", {}).get(kind, {})
+        parts = [result, *(by_value.get(value) for value in values)]
         cells = [_figure(part, label, measure, iou) for part in parts]
         if not any(label in (part or {}).get("ap", {}) for part in parts[:1]):
             raise ConfigError(f"{name}: expected figures of class {label!r}, got {', '.join(result.get('ap', {}))}")
@@ -415,8 +422,8 @@ def paper_table(results: Results, *, label: str = "vehicle", figures: Sequence[s
 
 
 def _ious(results: Results) -> list[str]:
-    found = [f"{iou:g}" for result in results.values() for iou in (result.get("settings") or {}).get("ious") or ()]
-    return list(dict.fromkeys(found)) or ["0.3"]
+    stated = [f"{iou:g}" for result in results.values() for iou in (result.get("settings") or {}).get("ious") or ()]
+    return list(dict.fromkeys(stated)) or ["0.3"]
 
 
 def _markdown(head: list[str], rows: list[list[str]]) -> str:
@@ -437,8 +444,8 @@ def _check_conventions(results: Results) -> None:
             raise ConfigError(f"{name}: expected a result of kradar or kradar-compat, got {result.get('protocol')!r}")
         differing = differing_settings(results[first], result)
         if differing:
-            words = "; ".join(f"{key} ({a} and {b})" for key, (a, b) in differing.items())
-            raise ConfigError(f"{first} and {name} have different conventions, so they share no column: {words}")
+            differences = "; ".join(f"{key} ({a} and {b})" for key, (a, b) in differing.items())
+            raise ConfigError(f"{first} and {name} have different conventions, so they share no column: {differences}")
 
 
 def _convention(results: Results) -> str:

@@ -31,14 +31,14 @@ def trails_of(tracks: Detections) -> dict[str, dict[int, Trail]]:
         x and y in the world where the sequence has poses, else in the sensor's own coordinates.
     """
     poses = _poses(tracks)
-    found: dict[str, dict[int, list[np.ndarray]]] = {}
+    positions: dict[str, dict[int, list[np.ndarray]]] = {}
     for key in sorted(tracks.boxes, key=frame_order):
         boxes = tracks.boxes[key]
         boxes = boxes.transform(poses[key]) if key in poses else boxes
-        of_sequence = found.setdefault(key[0], {})
+        of_sequence = positions.setdefault(key[0], {})
         for row, name in enumerate([] if boxes.track_id is None else boxes.track_id.tolist()):
             of_sequence.setdefault(name, []).append(boxes.centre_m[row, :2])
-    return {key: {name: np.array(each) for name, each in trails.items()} for key, trails in found.items()}
+    return {key: {name: np.array(track) for name, track in trails.items()} for key, trails in positions.items()}
 
 
 def _poses(tracks: Detections) -> Mapping[Key, Float[np.ndarray, "4 4"]]:
@@ -62,8 +62,8 @@ def trails_picture(tracks: Detections) -> "Figure":
     rows = -(-max(len(shown), 1) // columns)
     with house_style():
         figure = new_figure(4.6 * columns + 1.5, 4.2 * rows + 0.4)
-        for place, name in enumerate(shown):
-            axes = figure.add_subplot(rows, columns, place + 1)
+        for index, name in enumerate(shown):
+            axes = figure.add_subplot(rows, columns, index + 1)
             keys = sorted((key for key in tracks.boxes if key[0] == name), key=frame_order)
             path = np.array([poses[key][:2, 3] for key in keys if key in poses]).reshape(-1, 2)
             _draw(axes, trails[name], path)
@@ -79,12 +79,14 @@ def _draw(axes: "Axes", trails: Mapping[int, np.ndarray], path: Trail) -> None:
 
     start = path[0] if len(path) else np.zeros(2)
     for name, trail in trails.items():
-        colour, place = _COLOURS[name % len(_COLOURS)], trail - start
+        colour, relative_m = _COLOURS[name % len(_COLOURS)], trail - start
         if np.ptp(trail, axis=0).max() < STANDING_M:
-            axes.plot(*place[-1:].T, color=colour, marker="s", markersize=2.2, alpha=0.8, linestyle="none")
+            axes.plot(*relative_m[-1:].T, color=colour, marker="s", markersize=2.2, alpha=0.8, linestyle="none")
             continue
-        axes.plot(*place.T, color=colour, linewidth=1.1, alpha=0.85, solid_capstyle="round")
-        axes.plot(*place[-1:].T, color=colour, marker="o", markersize=3.4, markeredgecolor="white", markeredgewidth=0.4)
+        axes.plot(*relative_m.T, color=colour, linewidth=1.1, alpha=0.85, solid_capstyle="round")
+        axes.plot(
+            *relative_m[-1:].T, color=colour, marker="o", markersize=3.4, markeredgecolor="white", markeredgewidth=0.4
+        )
     if len(path):
         around = [patheffects.withStroke(linewidth=3.2, foreground="white")]
         axes.plot(

@@ -84,10 +84,10 @@ def courses(rows: Sequence[Row], panels: Sequence[CoursePanel]) -> "Figure | Non
     lines = -(-len(drawn) // 2)
     with house_style():
         figure = new_figure(11.0, 0.3 + 2.7 * lines)
-        places = figure.subplots(lines, 2, squeeze=False).reshape(-1)
-        for axes in places[len(drawn) :]:
+        grid = figure.subplots(lines, 2, squeeze=False).reshape(-1)
+        for axes in grid[len(drawn) :]:
             axes.set_visible(False)
-        for axes, (panel, columns) in zip(places, drawn, strict=False):
+        for axes, (panel, columns) in zip(grid, drawn, strict=False):
             _draw_panel(axes, rows, panel, columns)
     return figure
 
@@ -102,10 +102,10 @@ def columns_of(rows: Sequence[Row], panel: CoursePanel, panels: Sequence[CourseP
 
 
 def _draw_panel(axes: "Axes", rows: Sequence[Row], panel: CoursePanel, columns: Sequence[str]) -> None:
-    for place, name in enumerate(columns):
+    for index, name in enumerate(columns):
         having = [row for row in rows if name in row and np.isfinite(row[name])]
         steps, values = (np.array([row[key] for row in having], dtype=np.float64) for key in ("step", name))
-        colour, dash = PATTERNS[place % len(PATTERNS)], _DASHES[place // len(PATTERNS) % len(_DASHES)]
+        colour, dash = PATTERNS[index % len(PATTERNS)], _DASHES[index // len(PATTERNS) % len(_DASHES)]
         label = name.replace("_", " ")
         if len(values) > _SMOOTHED:
             axes.plot(steps, values, lw=0.5, alpha=0.25, color=colour)
@@ -128,8 +128,8 @@ def _draw_panel(axes: "Axes", rows: Sequence[Row], panel: CoursePanel, columns: 
 
 def smoothed(steps: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Means of neighbouring rows at their mean steps, fifty windows in all."""
-    parts = [np.array_split(each, _MEANS) for each in (steps, values)]
-    means = [np.array([part.mean() for part in each]) for each in parts]
+    parts = [np.array_split(column, _MEANS) for column in (steps, values)]
+    means = [np.array([part.mean() for part in column]) for column in parts]
     return means[0], means[1]
 
 
@@ -147,7 +147,11 @@ _EDGES = np.linspace(0.0, 1.0, 41)
 
 def _of_class(boxes: Mapping[Key, Boxes], name: str) -> np.ndarray:
     """Scores of all boxes of a class, shape (n,)."""
-    parts = [each.score[np.asarray(each.label) == name] for each in boxes.values() if each.score is not None]
+    parts = [
+        frame_boxes.score[np.asarray(frame_boxes.label) == name]
+        for frame_boxes in boxes.values()
+        if frame_boxes.score is not None
+    ]
     return np.concatenate([np.zeros(0), *parts])
 
 
@@ -201,8 +205,8 @@ def boxes_before_and_after(frame: Frame, cloud: str, before: Boxes, after: Boxes
     window = fitting_window(points, before, after)
     with house_style():
         figure = new_figure(11.0, 0.9 + 2 * (0.35 + 10.0 * (window[3] - window[2]) / (window[1] - window[0])))
-        for axes, boxes, word in zip(figure.subplots(2, 1), (before, after), ("before", "after"), strict=True):
+        for axes, boxes, title in zip(figure.subplots(2, 1), (before, after), ("before", "after"), strict=True):
             draw_birdseye(axes, points, annotated=frame.boxes, predicted=boxes, window_m=window, line_width=0.9)
-            axes.set_title(word)
+            axes.set_title(title)
         draw_legend(figure, annotated=frame.boxes is not None)
     return figure

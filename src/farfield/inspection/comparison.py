@@ -57,8 +57,8 @@ class _BlockCounting:
 
     def __call__(self, unit: Unit) -> UnitResult:
         statistics = Statistics(**self.settings)
-        for place in unit.parameters:
-            statistics.add(self.data[place * len(self.data) // self.count])
+        for number in unit.parameters:
+            statistics.add(self.data[number * len(self.data) // self.count])
         return UnitResult(value=statistics)
 
 
@@ -77,8 +77,8 @@ def count_dataset(
     count = len(data) if frames == 0 else min(frames, len(data))
     settings = {"shots": shots_of(data.root), **settings}
     statistics = Statistics(**settings)
-    for done in values(_BlockCounting(data, count, settings), blocks(count, _BLOCK), bulk):
-        statistics.merge(done.value)
+    for counted in values(_BlockCounting(data, count, settings), blocks(count, _BLOCK), bulk):
+        statistics.merge(counted.value)
     summary = statistics.summary()
     if summary["simulated"] is None and is_simulated(data.root):
         summary["simulated"] = True
@@ -94,11 +94,11 @@ def _sweeps(data: Dataset) -> dict[str, dict[str, np.ndarray]]:
         return {}
     try:
         frame = data[len(data) // 2]
-        found = {name: frame.cloud(name).points_m[:, :2] for name in frame.clouds}
+        xy_m = {name: frame.cloud(name).points_m[:, :2] for name in frame.clouds}
     except (FarfieldError, OSError):
         return {}
-    steps = {name: -(-len(points) // _SWEEP_POINTS) for name, points in found.items()}
-    return {f"sweep/{name}": {"xy_m": points[:: max(steps[name], 1)]} for name, points in found.items()}
+    steps = {name: -(-len(points) // _SWEEP_POINTS) for name, points in xy_m.items()}
+    return {f"sweep/{name}": {"xy_m": points[:: max(steps[name], 1)]} for name, points in xy_m.items()}
 
 
 def pair_clouds(
@@ -118,14 +118,14 @@ def pair_clouds(
         ConfigError: If a side has no such cloud.
     """
     first, second = sides
-    theirs, others = (list(side.summary.get("clouds", {})) for side in (first, second))
-    pairs = dict(clouds) if clouds else {name: name for name in theirs if name in others}
-    if not pairs and theirs and others:
-        pairs = {theirs[0]: others[0]}
-    for side, known, wanted in ((first, theirs, pairs), (second, others, pairs.values())):
-        missing = next((name for name in wanted if name not in known), None)
+    first_clouds, second_clouds = (list(side.summary.get("clouds", {})) for side in (first, second))
+    pairs = dict(clouds) if clouds else {name: name for name in first_clouds if name in second_clouds}
+    if not pairs and first_clouds and second_clouds:
+        pairs = {first_clouds[0]: second_clouds[0]}
+    for side, present, required in ((first, first_clouds, pairs), (second, second_clouds, pairs.values())):
+        missing = next((name for name in required if name not in present), None)
         if missing is not None:
-            raise ConfigError(f"clouds: {side.name} has no cloud {missing!r}; it has {', '.join(known) or 'none'}")
+            raise ConfigError(f"clouds: {side.name} has no cloud {missing!r}; it has {', '.join(present) or 'none'}")
     common = {(a, b): a if a == b else f"{a} : {b}" for a, b in pairs.items()}
     renamed = (
         _with_clouds(first, {a: name for (a, _), name in common.items()}, alone=bool(clouds)),

@@ -42,7 +42,7 @@ class RigPlacement:
 
     def to_json(self) -> Mapping[str, object]:
         """Positions in metres and poses by name."""
-        rows = {" = ".join(each.names): each.frame_T_sensor.tolist() for each in self.sensors}
+        rows = {" = ".join(sensor.names): sensor.frame_T_sensor.tolist() for sensor in self.sensors}
         return {"reference": self.reference, "frame_T_sensor": rows, "unknown": list(self.unknown)}
 
 
@@ -53,25 +53,25 @@ def placement(data: Dataset) -> RigPlacement | None:
             frame = data[index]
         except (FarfieldError, OSError):
             continue
-        there = {*frame.clouds, *frame.images, *frame.radar}
-        sensors = {name: sensor for name, sensor in frame.sensors.items() if name in there}
-        known: list[SensorPlacement] = []
+        present = {*frame.clouds, *frame.images, *frame.radar}
+        sensors = {name: sensor for name, sensor in frame.sensors.items() if name in present}
+        placed: list[SensorPlacement] = []
         for name, sensor in sensors.items():
             if sensor.frame_T_sensor is not None:
                 _add_sensor(
-                    known, SensorPlacement(kind=sensor.kind, frame_T_sensor=sensor.frame_T_sensor, names=(name,))
+                    placed, SensorPlacement(kind=sensor.kind, frame_T_sensor=sensor.frame_T_sensor, names=(name,))
                 )
         lacks = tuple(name for name, sensor in sensors.items() if sensor.frame_T_sensor is None)
-        if known:
-            return RigPlacement(reference=frame.reference, sensors=tuple(known), unknown=lacks)
+        if placed:
+            return RigPlacement(reference=frame.reference, sensors=tuple(placed), unknown=lacks)
     return None
 
 
-def _add_sensor(known: list[SensorPlacement], one: SensorPlacement) -> None:
+def _add_sensor(placed: list[SensorPlacement], one: SensorPlacement) -> None:
     """Put the data of one sensor together."""
-    for place, other in enumerate(known):
+    for index, other in enumerate(placed):
         if other.kind == one.kind and np.allclose(other.frame_T_sensor, one.frame_T_sensor, atol=1e-9):
             names = (*other.names, *one.names)
-            known[place] = SensorPlacement(kind=one.kind, frame_T_sensor=one.frame_T_sensor, names=names)
+            placed[index] = SensorPlacement(kind=one.kind, frame_T_sensor=one.frame_T_sensor, names=names)
             return
-    known.append(one)
+    placed.append(one)

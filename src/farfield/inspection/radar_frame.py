@@ -88,8 +88,8 @@ def look_at(
     except ValueError as error:
         raise ConfigError(str(error)) from error
     if views is None:
-        there = ", ".join([*frame.radar, *frame.clouds, *frame.images]) or "nothing"
-        raise DatasetError(f"frame {frame.key}: expected one of {', '.join(PRODUCTS)}, found {there}")
+        present = ", ".join([*frame.radar, *frame.clouds, *frame.images]) or "nothing"
+        raise DatasetError(f"frame {frame.key}: expected one of {', '.join(PRODUCTS)}, found {present}")
     image, straight = _picture(frame, camera)
     velocity, source = _velocity(data, index, frame, speed_m_s, turn_deg_s)
     return RadarLook(
@@ -130,9 +130,9 @@ def _velocity(
         return radar_velocity(forward, turn, vehicle_T_radar), f"{speed_m_s:g} m/s were given"
     for other in (index + 1, index - 1):
         if 0 <= other < len(data) and data.keys[other][0] == frame.sequence:
-            found = _mean_velocity(frame, data[other])
-            if found is not None:
-                return found, f"from the poses of this frame and of {data.keys[other][1]}"
+            velocity = _mean_velocity(frame, data[other])
+            if velocity is not None:
+                return velocity, f"from the poses of this frame and of {data.keys[other][1]}"
     return None, ""
 
 

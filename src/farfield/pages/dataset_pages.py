@@ -76,19 +76,19 @@ def table_lines(sides: Sequence[ComparedDataset]) -> list[ComparisonLine]:
     for kind in CONDITIONS:
         for name in _names(sides, "conditions", kind):
             lines += _line(sides, kind, f"share of frames, {name}", "conditions", kind, name, digits=3)
-    for key, words in _RADAR_WORDS.items():
+    for key, label in _RADAR_WORDS.items():
         published = RADAR_LEVELS.get(key, "")
-        lines += _line(sides, "radar", words, "radar", key, published=published)
+        lines += _line(sides, "radar", label, "radar", key, published=published)
     for quantile, published in ROW_QUANTILES_DB.items():
-        words = f"strongest object's row, {quantile} % quantile (dB)"
-        lines += _line(sides, "radar", words, "radar", "row_quantiles_db", quantile, published=published)
+        label = f"strongest object's row, {quantile} % quantile (dB)"
+        lines += _line(sides, "radar", label, "radar", "row_quantiles_db", quantile, published=published)
     for within, published in RAISED_SHARES.items():
-        words = f"share of cells 2 dB above the floor, {within} m"
-        lines += _line(sides, "radar", words, "radar", "raised_share", within, digits=3, published=published)
+        label = f"share of cells 2 dB above the floor, {within} m"
+        lines += _line(sides, "radar", label, "radar", "raised_share", within, digits=3, published=published)
     for weather in _names(sides, "radar_survival", "weather"):
         if weather != "normal":
-            words = f"vehicles above the floor, {weather} minus normal (dB)"
-            lines += _line(sides, "radar", words, "radar_survival", "weather", weather, "overall")
+            label = f"vehicles above the floor, {weather} minus normal (dB)"
+            lines += _line(sides, "radar", label, "radar_survival", "weather", weather, "overall")
     return lines
 
 
@@ -109,32 +109,35 @@ def _cloud_lines(sides: Sequence[ComparedDataset], cloud: str) -> list[Compariso
         "far_share_of_focus": f"within {{}}° of {focus:g}°, beyond {far_m:g} m",
         "share_of_focus": f"within {{}}° of {focus:g}°, all returns",
     }
-    for key, words in kinds.items():
+    for key, what in kinds.items():
         for limit, share in SHARES_NEAR_HORIZON.items():
             published = share if PATTERNS[0] in cloud.split(" : ") and key == "far_share_of_horizon" else ""
-            lines += _line(sides, topic, words.format(limit), *base, key, limit, digits=3, published=published)
+            lines += _line(sides, topic, what.format(limit), *base, key, limit, digits=3, published=published)
     points = (*base, "points_in_vehicles")
     lines += _line(sides, topic, "points in vehicles: slope in log-log", *points, "slope")
     lines += _line(sides, topic, "points in vehicles: level at 50 m", *points, "level", digits=1)
     for weather in _names(sides, *base, "survival", "weather"):
         if weather == "normal":
             continue
-        words = f"points in vehicles, {weather} over normal"
-        lines += _line(sides, topic, words, *base, "survival", "weather", weather, "overall")
+        what = f"points in vehicles, {weather} over normal"
+        lines += _line(sides, topic, what, *base, "survival", "weather", weather, "overall")
     return lines
 
 
 def _reach_lines(sides: Sequence[ComparedDataset], topic: str, cloud: str) -> list[ComparisonLine]:
     """Effective range and the time that it leaves."""
     clouds = [side.summary["clouds"].get(cloud) for side in sides]
-    reaches = [None if each is None or "range" not in each else effective_range_m(each) for each in clouds]
-    if not any(reaches):
+    reaches_m = [
+        None if cloud_summary is None or "range" not in cloud_summary else effective_range_m(cloud_summary)
+        for cloud_summary in clouds
+    ]
+    if not any(reaches_m):
         return []
-    times = [None if reach is None else reaction_s(reach) for reach in reaches]
+    times = [None if reach_m is None else reaction_s(reach_m) for reach_m in reaches_m]
     leaves = f"time that leaves at {SPEED_MPH:.0f} mph (s)"
     return [
-        ComparisonLine(topic, "99.9 % of returns lie within (m)", tuple(_text(reach, 0) for reach in reaches)),
-        ComparisonLine(topic, leaves, tuple(_text(each, 1) for each in times)),
+        ComparisonLine(topic, "99.9 % of returns lie within (m)", tuple(_text(reach_m, 0) for reach_m in reaches_m)),
+        ComparisonLine(topic, leaves, tuple(_text(cloud_summary, 1) for cloud_summary in times)),
     ]
 
 
@@ -168,7 +171,7 @@ def _simulated_text(simulated: bool | None) -> str:
 
 def sensor_pictures(sides: Sequence[ComparedDataset]) -> list[PageImage]:
     """Every figure that at least one side has the data for."""
-    found = []
+    images = []
     for draw, heading, caption in (
         (
             from_above,
@@ -222,8 +225,8 @@ def sensor_pictures(sides: Sequence[ComparedDataset]) -> list[PageImage]:
         figure = draw(sides)
         if figure is not None:
             alt = f"{heading}: {' and '.join(side.title for side in sides)}"
-            found.append(PageImage(figure_uri(figure), alt, caption, heading))
-    return found
+            images.append(PageImage(figure_uri(figure), alt, caption, heading))
+    return images
 
 
 def render_comparison(sides: Sequence[ComparedDataset], *, title: str) -> str:
@@ -294,9 +297,9 @@ class DatasetFigures:
     placed: RigPlacement | None = None
 
 
-def figures(found: DatasetFigures) -> "Iterator[tuple[str, Figure, str, str]]":
+def figures(dataset: DatasetFigures) -> "Iterator[tuple[str, Figure, str, str]]":
     """The census' figures: file name, figure, heading and caption."""
-    summary, arrays = found.census, found.arrays
+    summary, arrays = dataset.census, dataset.arrays
     drawn = (
         (
             "frames_by_condition",
@@ -340,7 +343,7 @@ def figures(found: DatasetFigures) -> "Iterator[tuple[str, Figure, str, str]]":
             "Objects in a frame",
             "Frames without annotation are left out.",
         ),
-        ("sensor_placement", placement_figure(found.placed), "Sensor placement", _placed_caption(found.placed)),
+        ("sensor_placement", placement_figure(dataset.placed), "Sensor placement", _placed_caption(dataset.placed)),
     )
     for name, figure, heading, caption in drawn:
         if figure is not None:
@@ -366,46 +369,46 @@ def tables(census: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[st
         ]
         for name, row in census["classes"].items()
     ]
-    found = [("Classes", ["class", "in Farfield", "boxes", "tracks", "mean length × width × height (m)"], classes)]
+    titled = [("Classes", ["class", "in Farfield", "boxes", "tracks", "mean length × width × height (m)"], classes)]
     for key, table in census["objects_by"].items():
         heads = ["class", *(dataset_plots.spoken(name) for name in next(iter(table.values()), {})), "all"]
         rows = [
             [name, *(f"{count:,}" for count in row.values()), f"{sum(row.values()):,}"] for name, row in table.items()
         ]
         if rows:
-            found.append((_TITLES[key], heads, rows))
+            titled.append((_TITLES[key], heads, rows))
     heads = ["sequence", "frames", "weather", "road", "time", "boxes"]
     keys = ("sequence", "frames", "weather", "road", "time", "objects")
     rows = [[dataset_plots.spoken(_count_text(row[key])) for key in keys] for row in census["table_5"]]
-    return [*found, ("Sequences", heads, rows)]
+    return [*titled, ("Sequences", heads, rows)]
 
 
 def _count_text(value: str | int) -> str:
     return f"{value:,}" if isinstance(value, int) else value
 
 
-def render_statistics(found: DatasetFigures, drawn: list[PageImage]) -> str:
+def render_statistics(dataset: DatasetFigures, drawn: list[PageImage]) -> str:
     """Return the page as HTML."""
-    side = found.sensors
+    side = dataset.sensors
     lines: list[ComparisonLine] = [] if side is None else [line for line in table_lines([side]) if line.topic != "data"]
     return render_template(
         "statistics.html",
-        found=found,
-        census=found.census,
+        found=dataset,
+        census=dataset.census,
         pictures=drawn,
-        tables=tables(found.census),
+        tables=tables(dataset.census),
         sensor_pictures=[] if side is None else sensor_pictures([side]),
         sensor_lines=lines,
         simulated=side is not None and side.simulated,
     )
 
 
-def write_statistics(folder: Path | str, found: DatasetFigures) -> Path:
+def write_statistics(folder: Path | str, dataset: DatasetFigures) -> Path:
     """Write ``statistics.html``, ``statistics.json`` and ``figures/*.png`` into a folder, each all or nothing.
 
     Args:
         folder: Made if absent.
-        found: What was counted.
+        dataset: What was counted.
 
     Returns:
         The page.
@@ -413,12 +416,12 @@ def write_statistics(folder: Path | str, found: DatasetFigures) -> Path:
     folder = Path(folder)
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     drawn = []
-    for name, figure, heading, caption in figures(found):
+    for name, figure, heading, caption in figures(dataset):
         write_bytes(folder / "figures" / f"{name}.png", figure_bytes(figure, "png"))
-        drawn.append(PageImage(figure_uri(figure), f"{heading} of {found.name}", caption, heading))
-    tree = {"name": found.name, "format": found.format, "path": found.path, "notes": list(found.notes)}
-    content = {**tree, "annotations": found.census, "sensors": found.sensors and found.sensors.summary}
-    content |= {"placement": None if found.placed is None else found.placed.to_json()}
+        drawn.append(PageImage(figure_uri(figure), f"{heading} of {dataset.name}", caption, heading))
+    tree = {"name": dataset.name, "format": dataset.format, "path": dataset.path, "notes": list(dataset.notes)}
+    content = {**tree, "annotations": dataset.census, "sensors": dataset.sensors and dataset.sensors.summary}
+    content |= {"placement": None if dataset.placed is None else dataset.placed.to_json()}
     write_text(folder / "statistics.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
-    write_text(folder / "statistics.html", render_statistics(found, drawn))
+    write_text(folder / "statistics.html", render_statistics(dataset, drawn))
     return folder / "statistics.html"

@@ -85,8 +85,8 @@ def _cloud_pictures(view: FrameView, name: str, predictions: Boxes | None, drawi
     caption = _caption(start, annotated, predicted, drawing, window)
     alt = f"Bird's-eye view of the {name} cloud to {window[1]:g} m, with annotated and predicted boxes"
     boxes: dict[str, Any] = {"annotated": annotated, "predicted": predicted, "labels": drawing.labels, "rings_m": edges}
-    whole = overview(cloud, **boxes, window_m=window, point=returns_word(kind))
-    pictures = [PageImage(figure_uri(whole, dpi=_DPI), alt, caption, heading=pattern_title(name))]
+    whole_window = overview(cloud, **boxes, window_m=window, point=returns_word(kind))
+    pictures = [PageImage(figure_uri(whole_window, dpi=_DPI), alt, caption, heading=pattern_title(name))]
     parts = filled_zooms(cloud, annotated, predicted, edges_m=edges)
     if len(parts) > 1:
         enlarged = zooms(cloud, **boxes, windows_m=parts)
@@ -102,12 +102,12 @@ def _caption(
     sureness = f"score {drawing.score_min:g} or more"
     if annotated is None:
         return f"{start} {len(predicted)} predictions of {sureness}; this frame is not annotated."
-    wanted, seen = drawing.counting(annotated, window_m), drawing.counting(predicted, window_m)
+    annotated_inside, predicted_inside = drawing.counting(annotated, window_m), drawing.counting(predicted, window_m)
     where = "" if drawing.region_m is None else " in the region that counts"
-    found = int((drawing.finding.found_by(seen, wanted) >= 0).sum())
-    wrong = len(seen) - found
+    num_found = int((drawing.finding.found_by(predicted_inside, annotated_inside) >= 0).sum())
+    wrong = len(predicted_inside) - num_found
     return (
-        f"{start} {found} of {len(wanted)} annotated objects{where} found {drawing.finding}, "
+        f"{start} {num_found} of {len(annotated_inside)} annotated objects{where} found {drawing.finding}, "
         f"{wrong} prediction{'' if wrong == 1 else 's'} without one ({sureness})."
     )
 
@@ -116,10 +116,12 @@ def _radar_pictures(view: FrameView, drawing: DrawingOptions) -> list[PageImage]
     """The radar's power from above, where the frame has it in the coordinates of its boxes."""
     if view.radar_db is None:
         return []
-    given = {name: boxes for name, boxes in view.by_cloud.items() if boxes is not None}
-    order = sorted(given, key=lambda name: kind_of(view.frame, name) != "radar")  # the radar's own in the first colour
-    kept = {name: confident(given[name], drawing.score_min) for name in order}
-    predicted = kept if len(kept) > 1 else next(iter(kept.values()), None)
+    by_cloud = {name: boxes for name, boxes in view.by_cloud.items() if boxes is not None}
+    order = sorted(
+        by_cloud, key=lambda name: kind_of(view.frame, name) != "radar"
+    )  # the radar's own in the first colour
+    confident_boxes = {name: confident(by_cloud[name], drawing.score_min) for name in order}
+    predicted = confident_boxes if len(confident_boxes) > 1 else next(iter(confident_boxes.values()), None)
     figure = power_map(
         view.radar_db, annotated=view.frame.boxes, predicted=predicted, labels=drawing.labels, rings_m=drawing.edges_m
     )
@@ -246,10 +248,10 @@ def _convention(result: Mapping[str, Any]) -> dict[str, Any]:
     settings = result.get("settings") or {}
     beside = {name: settings[name] for name in ("label", "classes", "range_bins_m", "bootstrap") if name in settings}
     protocol = protocol_of(result)
-    known = {**protocol.depends_on(settings), **beside}
+    shown_settings = {**protocol.depends_on(settings), **beside}
     return {
         "protocol": result.get("protocol"),
-        **{protocol.presenter.setting_title(name): v for name, v in known.items()},
+        **{protocol.presenter.setting_title(name): v for name, v in shown_settings.items()},
     }
 
 
@@ -283,7 +285,7 @@ def _patterns(frames: Sequence[FrameView], edges: Sequence[float]) -> PageImage 
 
 
 def _points(objects: Mapping[str, Mapping[str, Any]], edges: Sequence[float]) -> PageImage | None:
-    having = {name: each for name, each in objects.items() if each.get("range_m")}
+    having = {name: rows for name, rows in objects.items() if rows.get("range_m")}
     if not having:
         return None
     limits = next(iter(having.values()))
@@ -308,10 +310,10 @@ def _fact_text(value: Any) -> str:
         return f"{value:g}"
     if isinstance(value, str | int):
         return str(value)
-    if isinstance(value, list | tuple) and all(isinstance(each, str | int | float) for each in value):
-        return ", ".join(_fact_text(each) for each in value) or "none"
+    if isinstance(value, list | tuple) and all(isinstance(item, str | int | float) for item in value):
+        return ", ".join(_fact_text(item) for item in value) or "none"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key}: {_fact_text(each)}" for key, each in value.items()) or "none"
+        return ", ".join(f"{key}: {_fact_text(item)}" for key, item in value.items()) or "none"
     return json.dumps(value, default=str)
 
 

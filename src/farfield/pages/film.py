@@ -105,11 +105,11 @@ def cloud_panel(cloud: Cloud, drawn: Sequence[DrawnBoxes], view: PanelView) -> I
     order = np.argsort(cloud.points_m[:, 2], kind="stable")  # the highest on top
     points = cloud.points_m[order]
     columns, rows = np.floor(view.pixels(points)).astype(np.int64).T
-    seen = (columns >= 0) & (columns < view.width - 1) & (rows >= 0) & (rows < view.height - 1)
+    inside = (columns >= 0) & (columns < view.width - 1) & (rows >= 0) & (rows < view.height - 1)
     low, high = _HEIGHTS_M
-    shade = np.clip((points[seen, 2] - low) / (high - low) * 255, 0, 255).astype(np.uint8)
+    shade = np.clip((points[inside, 2] - low) / (high - low) * 255, 0, 255).astype(np.uint8)
     for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)) if len(points) < 60_000 else ((0, 0),):
-        canvas[rows[seen] + down, columns[seen] + right] = _colour_table("viridis")[shade]
+        canvas[rows[inside] + down, columns[inside] + right] = _colour_table("viridis")[shade]
     return _with_boxes(canvas, drawn, view)
 
 
@@ -121,8 +121,8 @@ def radar_panel(bird_db: Float[np.ndarray, "y x"], drawn: Sequence[DrawnBoxes], 
     at = [np.rint((value - axis[0]) / CUBE_STEP_M).astype(np.int64) for value, axis in ((y, CUBE_Y_M), (x, CUBE_X_M))]
     inside = (at[0] >= 0) & (at[0] < bird_db.shape[0]) & (at[1] >= 0) & (at[1] < bird_db.shape[1])
     level = np.where(inside, bird_db[np.where(inside, at[0], 0), np.where(inside, at[1], 0)], np.nan)
-    known = bird_db[np.isfinite(bird_db)]
-    low, high = np.percentile(known, [20.0, 99.8]) if known.size else (0.0, 1.0)
+    finite_db = bird_db[np.isfinite(bird_db)]
+    low, high = np.percentile(finite_db, [20.0, 99.8]) if finite_db.size else (0.0, 1.0)
     shade = np.nan_to_num((level - low) / max(high - low, 1e-6) * 255, nan=0.0).clip(0, 255).astype(np.uint8)
     canvas = np.where(np.isfinite(level)[..., None], _colour_table("magma")[shade], np.array(GROUND, dtype=np.uint8))
     return _with_boxes(canvas, drawn, view)
@@ -136,10 +136,10 @@ def camera_panel(
     share = min(size[0] / shown.width, size[1] / shown.height)
     shown = shown.resize((max(1, round(shown.width * share)), max(1, round(shown.height * share))))
     pen = ImageDraw.Draw(shown)
-    for each in drawn if camera is not None else ():
-        for row in range(len(each.boxes)):
-            for line in box_lines(each.boxes[row : row + 1], camera) if camera is not None else ():
-                pen.line([tuple(place) for place in (line * share).tolist()], fill=each.colour(row), width=1)
+    for kind in drawn if camera is not None else ():
+        for row in range(len(kind.boxes)):
+            for line in box_lines(kind.boxes[row : row + 1], camera) if camera is not None else ():
+                pen.line([tuple(pixel) for pixel in (line * share).tolist()], fill=kind.colour(row), width=1)
     panel = Image.new("RGB", size, GROUND)
     panel.paste(shown, ((size[0] - shown.width) // 2, (size[1] - shown.height) // 2))
     return panel
@@ -148,16 +148,16 @@ def camera_panel(
 def _with_boxes(canvas: Picture, drawn: Sequence[DrawnBoxes], view: PanelView) -> Image.Image:
     panel = Image.fromarray(canvas)
     pen = ImageDraw.Draw(panel)
-    for ring in (each for each in _RINGS_M if each <= 1.4 * view.reach_m):
+    for ring in (kind for kind in _RINGS_M if kind <= 1.4 * view.reach_m):
         (x, y), radius = view.pixels(np.zeros((1, 2)))[0], ring * view.scale
         pen.ellipse([x - radius, y - radius, x + radius, y + radius], outline=RING)
         pen.text((x + 3, y - radius + 1), f"{ring:g} m", fill=RING)
-    for each in drawn:
-        for track, trail in each.trails.items():
+    for kind in drawn:
+        for track, trail in kind.trails.items():
             if len(trail) > 1:
-                pen.line([tuple(place) for place in view.pixels(trail).tolist()], fill=track_colour(track), width=1)
-        for row in range(len(each.boxes)):
-            _outline(pen, each.boxes[row : row + 1], view, each.colour(row), dashed=each.predicted)
+                pen.line([tuple(pixel) for pixel in view.pixels(trail).tolist()], fill=track_colour(track), width=1)
+        for row in range(len(kind.boxes)):
+            _outline(pen, kind.boxes[row : row + 1], view, kind.colour(row), dashed=kind.predicted)
     return panel
 
 
@@ -169,8 +169,8 @@ def _outline(pen: Any, box: Boxes, view: PanelView, colour: str, *, dashed: bool
     ahead = np.array([[0.0, 0.0], [length + 1.0, 0.0]])
     turn = np.array([[cos, sin], [-sin, cos]])
     for line in (local, ahead):
-        places = view.pixels(line @ turn + box.centre_m[0, :2])
-        for start, end in pairwise(places):
+        pixels = view.pixels(line @ turn + box.centre_m[0, :2])
+        for start, end in pairwise(pixels):
             parts = max(2, round(np.hypot(*(end - start)) / 4)) if dashed else 1
             for part in range(0, parts, 2):
                 a, b = start + (end - start) * part / parts, start + (end - start) * (part + 1) / parts
@@ -232,14 +232,14 @@ def film_picture(
         drawn: Its boxes.
         reach_m: How far ahead the views from above show.
     """
-    whole = Image.new("RGB", SIZE, (32, 38, 46))
-    pen = ImageDraw.Draw(whole)
+    image = Image.new("RGB", SIZE, (32, 38, 46))
+    pen = ImageDraw.Draw(image)
     pen.text((10, 7), headline(frame, drawn), fill=WORDS, font=ImageFont.load_default(15))
     for (kind, name), (left, top, width, height) in zip(panels, panel_rectangles(len(panels)), strict=True):
         pen.text((left + 4, top + 1), name, fill=WORDS, font=ImageFont.load_default(12))
         size = (width, height - TITLE)
-        whole.paste(_panel(frame, kind, name, drawn, size, reach_m), (left, top + TITLE))
-    return whole
+        image.paste(_panel(frame, kind, name, drawn, size, reach_m), (left, top + TITLE))
+    return image
 
 
 def panel_rectangles(count: int) -> list[tuple[int, int, int, int]]:
@@ -258,12 +258,12 @@ def panel_rectangles(count: int) -> list[tuple[int, int, int, int]]:
 
 def headline(frame: Frame, drawn: Sequence[DrawnBoxes]) -> str:
     """Which frame it is, in which conditions, and what is drawn."""
-    said = [f"{frame.sequence} / {frame.frame_id}", *(str(value) for value in frame.conditions.values())]
-    for each in drawn:
-        tracks = 0 if each.boxes.track_id is None else len({int(t) for t in each.boxes.track_id if t >= 0})
-        kind = "predicted" if each.predicted else "annotated"
-        said.append(f"{len(each.boxes)} {kind}" + (f" ({tracks} tracks)" if tracks else ""))
-    return "    ".join(said)
+    facts = [f"{frame.sequence} / {frame.frame_id}", *(str(value) for value in frame.conditions.values())]
+    for kind_boxes in drawn:
+        tracks = 0 if kind_boxes.boxes.track_id is None else len({int(t) for t in kind_boxes.boxes.track_id if t >= 0})
+        kind = "predicted" if kind_boxes.predicted else "annotated"
+        facts.append(f"{len(kind_boxes.boxes)} {kind}" + (f" ({tracks} tracks)" if tracks else ""))
+    return "    ".join(facts)
 
 
 def _panel(
@@ -303,7 +303,7 @@ def _radar(
         return None
     sensor = next((frame.sensors[name] for name in PRODUCTS if name in frame.sensors and name in frame.radar), None)
     if sensor is not None and not sensor.in_frame and sensor.frame_T_sensor is not None:
-        drawn = [_moved(each, invert(sensor.frame_T_sensor)) for each in drawn]
+        drawn = [_moved(kind, invert(sensor.frame_T_sensor)) for kind in drawn]
     return radar_panel(bird, drawn, PanelView(*size, reach_m, behind=0.03))
 
 
@@ -362,44 +362,44 @@ class FilmWork:
 
     def __call__(self, unit: Unit) -> UnitResult:
         """Draw the frame at a place of the drive."""
-        place = int(unit.parameters)
-        frame = self.data[int(self.drive.indices[place])]
-        drawn = [each for each in (self._drawn(place, False), self._drawn(place, True)) if each is not None]
+        number = int(unit.parameters)
+        frame = self.data[int(self.drive.indices[number])]
+        drawn = [kind for kind in (self._drawn(number, False), self._drawn(number, True)) if kind is not None]
         image = film_picture(frame, self.panels, drawn, reach_m=self.settings.reach_m)
-        path = self.folder / f"{place:06d}.png"
+        path = self.folder / f"{number:06d}.png"
         with open_atomic(path) as handle:
             image.save(handle, format="PNG", compress_level=1)
         return UnitResult(files=(path,))
 
-    def _drawn(self, place: int, predicted: bool) -> DrawnBoxes | None:
-        boxes = self._boxes(place, predicted)
+    def _drawn(self, number: int, predicted: bool) -> DrawnBoxes | None:
+        boxes = self._boxes(number, predicted)
         if boxes is None:
             return None
-        return DrawnBoxes(boxes, predicted, self._trails(place, predicted, boxes))
+        return DrawnBoxes(boxes, predicted, self._trails(number, predicted, boxes))
 
-    def _boxes(self, place: int, predicted: bool) -> Boxes | None:
+    def _boxes(self, number: int, predicted: bool) -> Boxes | None:
         if not predicted:
-            annotation = self.data.annotation(int(self.drive.indices[place]))
+            annotation = self.data.annotation(int(self.drive.indices[number]))
             return None if annotation is None else annotation.boxes
-        found = None if self.predictions is None else self.predictions.get(self.drive.keys[place])
-        return found if found is None or found.score is None else found[found.score >= self.settings.score]
+        boxes = None if self.predictions is None else self.predictions.get(self.drive.keys[number])
+        return boxes if boxes is None or boxes.score is None else boxes[boxes.score >= self.settings.score]
 
-    def _trails(self, place: int, predicted: bool, now: Boxes) -> dict[int, np.ndarray]:
+    def _trails(self, number: int, predicted: bool, now: Boxes) -> dict[int, np.ndarray]:
         """Where the tracks of a frame were lately, in its coordinates; without poses in those of their own time."""
         shown = set() if now.track_id is None else {int(track) for track in now.track_id if track >= 0}
-        found: dict[int, list[np.ndarray]] = {track: [] for track in sorted(shown)}
+        positions: dict[int, list[np.ndarray]] = {track: [] for track in sorted(shown)}
         poses = self.drive.world_T_frame
-        for earlier in range(max(0, place - self.settings.trail_frames), place + 1) if shown else ():
+        for earlier in range(max(0, number - self.settings.trail_frames), number + 1) if shown else ():
             boxes = self._boxes(earlier, predicted)
             if boxes is None or boxes.track_id is None:
                 continue
             tracks = boxes.track_id.tolist()
-            if poses is not None and earlier != place:
-                boxes = boxes.transform(invert(poses[place]) @ poses[earlier])
+            if poses is not None and earlier != number:
+                boxes = boxes.transform(invert(poses[number]) @ poses[earlier])
             for row, track in enumerate(tracks):
-                if track in found:
-                    found[track].append(boxes.centre_m[row])
-        return {track: np.array(places) for track, places in found.items()}
+                if track in positions:
+                    positions[track].append(boxes.centre_m[row])
+        return {track: np.array(trail) for track, trail in positions.items()}
 
 
 def make_film(
@@ -428,17 +428,17 @@ def make_film(
     path = Path(path)
     if path.suffix.lower() not in ANIMATED:
         videos.check_writing(path)
-    found = drive_named(data, drive)
+    chosen = drive_named(data, drive)
     folder = path.with_name(f".{path.name}.pictures")
     folder.mkdir(parents=True, exist_ok=True)
-    work = FilmWork(data, found, folder, panels_of(data, found), predictions, settings)
+    work = FilmWork(data, chosen, folder, panels_of(data, chosen), predictions, settings)
     units = [
-        Unit(f"{place:06d}", sources=tuple(data.files(int(index))), parameters=place)
-        for place, index in enumerate(found.indices)
+        Unit(f"{number:06d}", sources=tuple(data.files(int(index))), parameters=number)
+        for number, index in enumerate(chosen.indices)
     ]
-    setting = repr((_VERSION, found.name, found.keys, work.panels, settings, _predictions_crc(predictions)))
+    setting = repr((_VERSION, chosen.name, chosen.keys, work.panels, settings, _predictions_crc(predictions)))
     run(work, units, bulk, journal=JobJournal(folder / ".journal.jsonl", setting=setting))
-    _assemble(path, [folder / f"{place:06d}.png" for place in range(len(units))], rate_of(found, settings))
+    _assemble(path, [folder / f"{number:06d}.png" for number in range(len(units))], rate_of(chosen, settings))
     shutil.rmtree(folder)
     return len(units)
 
@@ -450,13 +450,13 @@ def drive_named(data: Dataset, name: str) -> Drive:
         ConfigError: If there is none of this name, or no frame at all.
     """
     drives = data.drives()
-    found = next((drive for drive in drives if name in ("", drive.name)), None)
+    match = next((drive for drive in drives if name in ("", drive.name)), None)
     if not drives:
         raise ConfigError("film: the frames of this data set are of no drive: they do not follow each other in time")
-    if found is None:
-        known = ", ".join(drive.name for drive in drives[:20])
-        raise ConfigError(f"drive: expected one of {known}, got {name!r}")
-    return found
+    if match is None:
+        names = ", ".join(drive.name for drive in drives[:20])
+        raise ConfigError(f"drive: expected one of {names}, got {name!r}")
+    return match
 
 
 def rate_of(drive: Drive, settings: FilmSettings) -> Fraction:
@@ -470,16 +470,16 @@ def rate_of(drive: Drive, settings: FilmSettings) -> Fraction:
 
 def _assemble(path: Path, pictures: list[Path], rate: Fraction) -> None:
     if path.suffix.lower() in ANIMATED:
-        whole = pictures[0].with_name(f"whole{path.suffix.lower()}")
-        write_animation(whole, pictures, rate_hz=float(rate))
-        whole.replace(path)
+        animation = pictures[0].with_name(f"whole{path.suffix.lower()}")
+        write_animation(animation, pictures, rate_hz=float(rate))
+        animation.replace(path)
         return
     videos.write_film(path, _read_pictures(pictures), range(len(pictures)), 1 / rate)
 
 
 def _read_pictures(pictures: list[Path]) -> Iterator[np.ndarray]:
-    for each in pictures:
-        with Image.open(each, formats=("PNG",)) as image:
+    for path in pictures:
+        with Image.open(path, formats=("PNG",)) as image:
             yield np.asarray(image.convert("RGB"))
 
 

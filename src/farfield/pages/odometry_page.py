@@ -68,12 +68,19 @@ def write_odometry(
 def row(track: OdometryTrack) -> tuple[str, ...]:
     """A row of the table, under :data:`HEADS`, as words."""
     drift = track.drift
-    known = ("", "", "")
+    drift_texts = ("", "", "")
     if drift is not None:
-        place = 100 * drift.place_m / drift.stretch_m
-        known = (f"{place:.2f} m", f"{drift.place_percent:.2f}", f"{drift.turn_deg_per_100m:.3f}°")
+        drift_m = 100 * drift.place_m / drift.stretch_m
+        drift_texts = (f"{drift_m:.2f} m", f"{drift.place_percent:.2f}", f"{drift.turn_deg_per_100m:.3f}°")
     facts = (f"{track.facts['median_matched']:.2f}", f"{track.facts['median_residual_m']:.3f}")
-    return (track.name, f"{len(track.table):,}", f"{track.way_m:,.1f}", *known, f"{track.table.lost.sum():,}", *facts)
+    return (
+        track.name,
+        f"{len(track.table):,}",
+        f"{track.way_m:,.1f}",
+        *drift_texts,
+        f"{track.table.lost.sum():,}",
+        *facts,
+    )
 
 
 def tracks_picture(tracks: Sequence[OdometryTrack]) -> "Figure":
@@ -92,20 +99,20 @@ def tracks_picture(tracks: Sequence[OdometryTrack]) -> "Figure":
 
 def _draw(axes: "Axes", track: OdometryTrack) -> None:
     poses = track.table.world_T_frame
-    place = poses[:, :2, 3]
+    xy_m = poses[:, :2, 3]
     if track.backward is not None:
         axes.plot(*track.backward.world_T_frame[:, :2, 3].T, color=MUTED, lw=1.0, ls="--", label="found backwards")
-    axes.plot(*place.T, color=ANNOTATED, lw=1.6, label="track")
+    axes.plot(*xy_m.T, color=ANNOTATED, lw=1.6, label="track")
     way = way_m(poses)
     ticks = np.searchsorted(way, np.arange(100.0, way[-1], 100.0))
-    axes.plot(*place[ticks].T, color=ANNOTATED, ls="", marker="|" if _is_wide(place) else "_", markersize=9)
-    axes.plot(*place[:1].T, color=INK, ls="", marker="o", markersize=4, label="start")
+    axes.plot(*xy_m[ticks].T, color=ANNOTATED, ls="", marker="|" if _is_wide(xy_m) else "_", markersize=9)
+    axes.plot(*xy_m[:1].T, color=INK, ls="", marker="o", markersize=4, label="start")
     doubtful = track.table.lost | np.array([bool(name) for name in track.table.blind])
     if doubtful.any():
-        axes.plot(*place[doubtful].T, color=PREDICTED, ls="", marker=".", markersize=5, label="not observed")
+        axes.plot(*xy_m[doubtful].T, color=PREDICTED, ls="", marker=".", markersize=5, label="not observed")
     drift = track.drift
-    known = "drift not known" if drift is None else f"expected drift {drift.place_percent:.2f} %"
-    axes.set_title(f"{track.name}: {track.way_m:,.0f} m, {known}")
+    drift_text = "drift not known" if drift is None else f"expected drift {drift.place_percent:.2f} %"
+    axes.set_title(f"{track.name}: {track.way_m:,.0f} m, {drift_text}")
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(visible=True)
     axes.legend(loc="best")
@@ -113,6 +120,6 @@ def _draw(axes: "Axes", track: OdometryTrack) -> None:
     axes.set_ylabel("y, m")
 
 
-def _is_wide(place: np.ndarray) -> bool:
-    extent = np.ptp(place, axis=0)
+def _is_wide(xy_m: np.ndarray) -> bool:
+    extent = np.ptp(xy_m, axis=0)
     return bool(extent[0] >= extent[1])

@@ -19,46 +19,52 @@ _SHOWN, _SIDE_PX, _MARGIN = 40, 220, 2.0
 HEADS = ("folder", "pictures", "faces", "number plates", "doubtful", "weak, left as they are", "pixels covered")
 
 
-def write_privacy_page(path: Path, folder: Path, done: Sequence[PictureSummary], *, title: str) -> None:
+def write_privacy_page(path: Path, folder: Path, summaries: Sequence[PictureSummary], *, title: str) -> None:
     """Write the page, all or nothing.
 
     Args:
         path: The file.
         folder: Where the covered pictures stand: only these are shown, never an original.
-        done: What became of each picture.
+        summaries: What became of each picture.
         title: Title of the page.
     """
-    doubtful = [(each, row) for each in done for row in each.doubtful]
+    doubtful = [(summary, row) for summary in summaries for row in summary.doubtful]
     doubtful.sort(key=_weakest_first)
-    shown = [_thumbnail(folder, each, row) for each, row in doubtful[:_SHOWN]]
-    weak = sorted(((each, row) for each in done for row in each.left), key=_strongest_first)
+    shown = [_thumbnail(folder, summary, row) for summary, row in doubtful[:_SHOWN]]
+    weak = sorted(((summary, row) for summary in summaries for row in summary.left), key=_strongest_first)
     page = render_template(
         "privacy.html",
         title=title,
         heads=HEADS,
-        rows=table(done),
+        rows=table(summaries),
         pictures=shown,
         left=len(doubtful) - len(shown),
-        weak=[_thumbnail(folder, each, row) for each, row in weak[:_SHOWN]],
+        weak=[_thumbnail(folder, summary, row) for summary, row in weak[:_SHOWN]],
         weaker=max(len(weak) - _SHOWN, 0),
     )
     write_text(path, page)
 
 
-def table(done: Sequence[PictureSummary]) -> list[tuple[str, ...]]:
+def table(summaries: Sequence[PictureSummary]) -> list[tuple[str, ...]]:
     """A row a folder of pictures, under :data:`HEADS`, and one of all."""
     folders: dict[str, list[PictureSummary]] = {}
-    for each in done:
-        folders.setdefault(Path(each.file).parent.as_posix(), []).append(each)
+    for summary in summaries:
+        folders.setdefault(Path(summary.file).parent.as_posix(), []).append(summary)
     rows = [_row(name, parts) for name, parts in folders.items()]
-    return [*rows, _row("all", done)] if len(rows) > 1 else rows
+    return [*rows, _row("all", summaries)] if len(rows) > 1 else rows
 
 
-def _row(name: str, done: Sequence[PictureSummary]) -> tuple[str, ...]:
-    kinds = [row["kind"] for each in done for row in each.rows]
-    doubtful = sum(len(each.doubtful) for each in done)
-    share = float(np.mean([each.share for each in done]))
-    counts = (len(done), kinds.count("face"), kinds.count("plate"), doubtful, sum(len(each.left) for each in done))
+def _row(name: str, summaries: Sequence[PictureSummary]) -> tuple[str, ...]:
+    kinds = [row["kind"] for summary in summaries for row in summary.rows]
+    doubtful = sum(len(summary.doubtful) for summary in summaries)
+    share = float(np.mean([summary.share for summary in summaries]))
+    counts = (
+        len(summaries),
+        kinds.count("face"),
+        kinds.count("plate"),
+        doubtful,
+        sum(len(summary.left) for summary in summaries),
+    )
     return name, *(f"{count:,}" for count in counts), f"{share:.2%}"
 
 
@@ -68,21 +74,21 @@ def frame_of(path: Path, number: int) -> np.ndarray:
 
 
 def _weakest_first(item: tuple[PictureSummary, Mapping[str, Any]]) -> tuple[bool, float, str]:
-    each, row = item
-    return row["how"] != "found", float(row["score"]), each.file
+    summary, row = item
+    return row["how"] != "found", float(row["score"]), summary.file
 
 
 def _strongest_first(item: tuple[PictureSummary, Mapping[str, Any]]) -> tuple[bool, float, str]:
-    each, row = item
-    return row["kind"] != FACE, -float(row["score"]), each.file
+    summary, row = item
+    return row["kind"] != FACE, -float(row["score"]), summary.file
 
 
-def _thumbnail(folder: Path, each: PictureSummary, row: Mapping[str, Any]) -> PageImage:
+def _thumbnail(folder: Path, summary: PictureSummary, row: Mapping[str, Any]) -> PageImage:
     """The surroundings of a box, cut from the covered picture."""
     from PIL import Image
 
-    path = folder / each.file
-    image = read_image(path) if each.frame is None else frame_of(path, each.frame)
+    path = folder / summary.file
+    image = read_image(path) if summary.frame is None else frame_of(path, summary.frame)
     low, high = np.array(row["box_px"][:2]), np.array(row["box_px"][2:])
     half = max(float((high - low).max()), 16.0) / 2 * (1 + _MARGIN)
     middle = (low + high) / 2
@@ -94,6 +100,6 @@ def _thumbnail(folder: Path, each: PictureSummary, row: Mapping[str, Any]) -> Pa
     data = io.BytesIO()
     small.save(data, format="JPEG", quality=85)
     uri = "data:image/jpeg;base64," + b64encode(data.getvalue()).decode()
-    at = "" if each.frame is None else f", frame {each.frame}"
-    words = f"{each.file}{at}: {row['kind']}, score {row['score']:.2f}, {row.get('how', 'not covered')}"
-    return PageImage(uri, f"Surroundings of a {row['kind']}", words)
+    at = "" if summary.frame is None else f", frame {summary.frame}"
+    caption = f"{summary.file}{at}: {row['kind']}, score {row['score']:.2f}, {row.get('how', 'not covered')}"
+    return PageImage(uri, f"Surroundings of a {row['kind']}", caption)

@@ -32,9 +32,9 @@ def write_radar(folder: Path | str, looks: Sequence[RadarLook], *, title: str) -
         content = figure_bytes(radar_picture(look), "png", dpi=_DPI)
         paths.append(folder / f"radar-{look.key[0]}-{look.key[1]}.png")
         write_bytes(paths[-1], content)
-        words = frame_words(look)
-        alt = f"Camera, radar power, Doppler and detected echoes of {words}"
-        pictures.append(PageImage(data_uri(content, "image/png"), alt, caption(look), words))
+        heading = frame_words(look)
+        alt = f"Camera, radar power, Doppler and detected echoes of {heading}"
+        pictures.append(PageImage(data_uri(content, "image/png"), alt, caption(look), heading))
     page = render_template(
         "radar.html", title=title, pictures=pictures, any_simulated=any(look.simulated for look in looks)
     )
@@ -47,12 +47,12 @@ def caption(look: RadarLook) -> str:
     echoes = look.views.echoes
     if echoes is None:
         return "A cube has power alone: no Doppler, and no polar map to search for echoes."
-    kept, over_ground = ~echoes.side_lobe, look.over_ground_m_s
+    echoes_left, over_ground = ~echoes.side_lobe, look.over_ground_m_s
     text = f"{len(echoes):,} cells detected, {int(echoes.side_lobe.sum()):,} of which may be side lobes"
-    text += f"; {int((echoes.peak & kept).sum()):,} peaks."
+    text += f"; {int((echoes.peak & echoes_left).sum()):,} peaks."
     if look.velocity_m_s is None or over_ground is None:
         return text + " Nothing says how the car moved: velocities are wrapped. Give its speed to unwrap them."
-    moving = int((kept & (np.abs(over_ground) > STANDING_M_S)).sum())
+    moving = int((echoes_left & (np.abs(over_ground) > STANDING_M_S)).sum())
     speed = float(np.linalg.norm(look.velocity_m_s))
     return text + (
         f" The radar moved at {speed:.1f} m/s ({look.velocity_from}); {moving:,} cells do not fit what stands still. "

@@ -47,47 +47,47 @@ _FEW = 200
 """So few pairs are drawn one by one."""
 
 
-def write_sync_page(path: Path | str, found: Sequence[SyncResult], *, title: str) -> None:
+def write_sync_page(path: Path | str, results: Sequence[SyncResult], *, title: str) -> None:
     """Write the page, all or nothing.
 
     Args:
         path: The file.
-        found: What was found, a recording each.
+        results: What was found, a recording each.
         title: Title of the page.
     """
     pictures = []
-    for each in found:
-        head = each.name if len(found) > 1 else "Streams"
-        alt = f"When each stream of {each.name} has messages, and where it has gaps"
+    for result in results:
+        head = result.name if len(results) > 1 else "Streams"
+        alt = f"When each stream of {result.name} has messages, and where it has gaps"
         caption = "Orange: intervals longer than one and a half periods."
-        pictures.append(PageImage(figure_uri(timeline(each)), alt, caption, f"{head}: when they ran"))
-        if any(len(pair.times_ns) for pair in each.pairs.values()):
-            alt = f"Histogram and course of the residuals of each stream against {each.reference}"
+        pictures.append(PageImage(figure_uri(timeline(result)), alt, caption, f"{head}: when they ran"))
+        if any(len(pair.times_ns) for pair in result.pairs.values()):
+            alt = f"Histogram and course of the residuals of each stream against {result.reference}"
             caption = (
-                f"How much later than {each.reference} each stream's message is. Right: median, and the band that "
+                f"How much later than {result.reference} each stream's message is. Right: median, and the band that "
                 "holds 80 % of them; dashed: the fitted offset and drift."
             )
-            pictures.append(PageImage(figure_uri(residuals(each)), alt, caption, f"{head}: residual offsets"))
+            pictures.append(PageImage(figure_uri(residuals(result)), alt, caption, f"{head}: residual offsets"))
     page = render_template(
         "sync.html",
         title=title,
-        found=found,
+        found=results,
         heads=HEADS,
-        tables=[table(each) for each in found],
+        tables=[table(result) for result in results],
         arrival_heads=ARRIVAL_HEADS,
-        arrivals=[arrivals(each) for each in found],
+        arrivals=[arrivals(result) for result in results],
         pictures=pictures,
     )
     write_text(path, page)
 
 
-def table(found: SyncResult) -> list[tuple[str, ...]]:
+def table(result: SyncResult) -> list[tuple[str, ...]]:
     """A row a stream, under :data:`HEADS`, as words."""
     rows = []
-    for name, health in found.streams.items():
+    for name, health in result.streams.items():
         rate = "" if not health.tick_ns else f"{1e9 / health.tick_ns:.3f}"
         row = [name, f"{health.count:,}", rate, f"{health.gaps:,}", f"{health.lost:,}"]
-        pair = found.pairs.get(name)
+        pair = result.pairs.get(name)
         row += ["reference", "", "", "", ""] if pair is None else _matched(pair)
         rows.append(tuple(row))
     return rows
@@ -105,7 +105,7 @@ def _matched(pair: StreamPair) -> list[str]:
     return [f"{pair.matched:,}", quantile, worst, f"{clock.offset_ns / 1e6:.3f}{turns}", drift]
 
 
-def arrivals(found: SyncResult) -> list[tuple[str, ...]]:
+def arrivals(result: SyncResult) -> list[tuple[str, ...]]:
     """A row a stream whose messages were recorded by a computer, under :data:`ARRIVAL_HEADS`, as words."""
     return [
         (
@@ -114,13 +114,13 @@ def arrivals(found: SyncResult) -> list[tuple[str, ...]]:
             clock.offset_includes,
             f"{clock.drift_ppm:+.3f} ± {clock.drift_se_ppm:.3f}",
         )
-        for name, clock in found.arrivals.items()
+        for name, clock in result.arrivals.items()
     ]
 
 
-def residuals(found: SyncResult) -> "Figure":
+def residuals(result: SyncResult) -> "Figure":
     """A row a stream: the histogram of its residuals, and their course over time."""
-    shown = {name: pair for name, pair in found.pairs.items() if len(pair.times_ns)}
+    shown = {name: pair for name, pair in result.pairs.items() if len(pair.times_ns)}
     with house_style():
         figure = new_figure(10.2, 0.4 + 2.1 * len(shown))
         grid = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(1, 1.8))
@@ -164,27 +164,27 @@ def _course(axes: "Axes", pair: StreamPair) -> None:
     axes.grid(visible=True)
 
 
-def timeline(found: SyncResult) -> "Figure":
+def timeline(result: SyncResult) -> "Figure":
     """A line a stream from its first to its last stamp, with its gaps, in seconds from the reference's first."""
-    start = found.streams[found.reference].first_ns or 0
+    start = result.streams[result.reference].first_ns or 0
     with house_style():
-        figure = new_figure(10.2, 0.7 + 0.32 * len(found.streams))
+        figure = new_figure(10.2, 0.7 + 0.32 * len(result.streams))
         axes = figure.subplots()
-        names = list(found.streams)
-        for place, name in enumerate(names):
-            health = found.streams[name]
+        names = list(result.streams)
+        for row, name in enumerate(names):
+            health = result.streams[name]
             if health.first_ns is None or health.last_ns is None:
                 continue
             first, last = ((time - start) / 1e9 for time in (health.first_ns, health.last_ns))
-            colour = INK if name == found.reference else ANNOTATED
-            axes.plot([first, max(last, first)], [place, place], color=colour, lw=5, solid_capstyle="butt")
-            begins = (health.gap_starts_ns - start) / 1e9
+            colour = INK if name == result.reference else ANNOTATED
+            axes.plot([first, max(last, first)], [row, row], color=colour, lw=5, solid_capstyle="butt")
+            starts_s = (health.gap_starts_ns - start) / 1e9
             axes.hlines(
-                np.full(len(begins), place), begins, begins + health.gap_lengths_ns / 1e9, color=PREDICTED, lw=5
+                np.full(len(starts_s), row), starts_s, starts_s + health.gap_lengths_ns / 1e9, color=PREDICTED, lw=5
             )
         axes.set_yticks(range(len(names)), names)
         axes.set_ylim(len(names) - 0.4, -0.6)
-        axes.set_xlabel(f"seconds from the first stamp of {found.reference}", color=MUTED)
+        axes.set_xlabel(f"seconds from the first stamp of {result.reference}", color=MUTED)
     return figure
 
 
@@ -192,13 +192,13 @@ def timeline(found: SyncResult) -> "Figure":
 
 
 def write_synchronised(
-    folder: Path | str, found: Sequence[RecordedStreams], *, to: str | None, tolerance_ns: int | None, title: str
+    folder: Path | str, recordings: Sequence[RecordedStreams], *, to: str | None, tolerance_ns: int | None, title: str
 ) -> list[SyncResult]:
     """Match each recording and write ``matches.csv`` (``matches-NAME.csv`` of several), ``sync.json``, ``sync.html``.
 
     Args:
         folder: Made if absent.
-        found: The recordings.
+        recordings: The recordings.
         to: The stream to which the others are matched; None takes the best.
         tolerance_ns: Largest distance; None takes half the period of the faster stream of each pair.
         title: Title of the page.
@@ -207,18 +207,20 @@ def write_synchronised(
         ConfigError: If a recording has no such stream, or two recordings have one name.
     """
     folder = Path(folder)
-    names = [recording.name for recording in found]
+    names = [recording.name for recording in recordings]
     if len(set(names)) < len(names):
         raise ConfigError(f"expected recordings of different names, got {', '.join(names)}")
     folder.mkdir(parents=True, exist_ok=True)
-    tables = [folder / ("matches.csv" if len(found) == 1 else f"matches-{name}.csv") for name in names]
+    tables = [folder / ("matches.csv" if len(recordings) == 1 else f"matches-{name}.csv") for name in names]
     for path in (*tables, folder / "sync.json", folder / "sync.html"):
         sweep_out_file(path)  # what a killed command left
-    done = [_synchronise(path, recording, to, tolerance_ns) for path, recording in zip(tables, found, strict=True)]
-    content = {"recordings": [each.to_json() for each in done]}
+    results = [
+        _synchronise(path, recording, to, tolerance_ns) for path, recording in zip(tables, recordings, strict=True)
+    ]
+    content = {"recordings": [result.to_json() for result in results]}
     write_text(folder / "sync.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
-    write_sync_page(folder / "sync.html", done, title=title)
-    return done
+    write_sync_page(folder / "sync.html", results, title=title)
+    return results
 
 
 def _synchronise(path: Path, recording: RecordedStreams, to: str | None, tolerance_ns: int | None) -> SyncResult:

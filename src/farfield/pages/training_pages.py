@@ -190,7 +190,7 @@ def write_adapted(path: Path, page: AdaptedPage) -> Path:
 def render_adapted(page: AdaptedPage) -> str:
     """Return the page as HTML."""
     before, after = (rates(boxes, page) for boxes in (page.before, page.after))
-    sure = [float(each[:, :, 0].sum()) for each in (before, after)]
+    sure = [float(table[:, :, 0].sum()) for table in (before, after)]
     return render_template(
         "adapted.html",
         page=page,
@@ -222,17 +222,17 @@ def rates(boxes: Mapping[Key, Boxes], page: AdaptedPage) -> np.ndarray:
 
     Boxes beyond the last edge count in no bin.
     """
-    found = np.zeros((len(page.classes), len(page.edges_m) - 1, 2))
-    for each in boxes.values():
-        score = np.zeros(len(each)) if each.score is None else each.score
-        place = np.digitize(each.range_m, page.edges_m) - 1
-        inside = (place >= 0) & (place < found.shape[1])
+    counts = np.zeros((len(page.classes), len(page.edges_m) - 1, 2))
+    for frame_boxes in boxes.values():
+        score = np.zeros(len(frame_boxes)) if frame_boxes.score is None else frame_boxes.score
+        range_bin = np.digitize(frame_boxes.range_m, page.edges_m) - 1
+        inside = (range_bin >= 0) & (range_bin < counts.shape[1])
         for row, name in enumerate(page.classes):
-            mine = inside & (np.asarray(each.label) == name)
-            sure, unsure = mine & (score >= page.positive[name]), mine & (score >= page.negative[name])
+            of_class = inside & (np.asarray(frame_boxes.label) == name)
+            sure, unsure = of_class & (score >= page.positive[name]), of_class & (score >= page.negative[name])
             for part, chosen in enumerate((sure, unsure & ~sure)):
-                np.add.at(found[row, :, part], place[chosen], 1)
-    return found / max(len(boxes), 1)
+                np.add.at(counts[row, :, part], range_bin[chosen], 1)
+    return counts / max(len(boxes), 1)
 
 
 def _bins(edges_m: Sequence[float]) -> list[str]:
@@ -243,10 +243,10 @@ def _table(page: AdaptedPage, before: np.ndarray, after: np.ndarray) -> list[lis
     """Rows of the table: a class, then before and after in each bin and over all."""
     rows = []
     for row, name in enumerate(page.classes):
-        for part, word in enumerate(("sure", "unsure")):
-            old, new = (np.append(each[row, :, part], each[row, :, part].sum()) for each in (before, after))
+        for part, kind in enumerate(("sure", "unsure")):
+            old, new = (np.append(table[row, :, part], table[row, :, part].sum()) for table in (before, after))
             cells = [f"{first:.2f} → {last:.2f}" for first, last in zip(old, new, strict=True)]
-            rows.append([f"{name.replace('_', ' ')}, {word}", *cells])
+            rows.append([f"{name.replace('_', ' ')}, {kind}", *cells])
     return rows
 
 
@@ -319,8 +319,8 @@ class CoursePage:
     @property
     def headline(self) -> str:
         """How far it is."""
-        done = int(self.rows[-1]["step"]) if self.rows else 0
-        return f"All {self.steps} steps are done." if done >= self.steps else f"{done} of {self.steps} steps are done."
+        step = int(self.rows[-1]["step"]) if self.rows else 0
+        return f"All {self.steps} steps are done." if step >= self.steps else f"{step} of {self.steps} steps are done."
 
     @property
     def last(self) -> list[tuple[str, str, str]]:

@@ -48,9 +48,9 @@ def examine(dataset: Dataset, *, max_clouds: int = 20, calibration: int = 0, bul
     Returns:
         Findings; ``report.failed`` tells whether training would fail or score zero.
     """
-    found = survey(dataset, max_clouds=max_clouds, bulk=bulk)
+    surveyed = survey(dataset, max_clouds=max_clouds, bulk=bulk)
     facts: dict[str, Any] = {}
-    findings = [finding for check in _CHECKS for finding in check(found, facts)]
+    findings = [finding for check in _CHECKS for finding in check(surveyed, facts)]
     if calibration:
         findings += check_calibration(dataset, calibration, facts)
     return DoctorReport(path=str(dataset.root), format=dataset.name, findings=tuple(findings), facts=facts)

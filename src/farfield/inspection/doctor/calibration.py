@@ -32,25 +32,25 @@ def check_calibration(data: Dataset, frames: int, facts: dict[str, Any]) -> Iter
         frames: How many frames to read.
         facts: What was measured is noted here.
     """
-    known = facts.setdefault("calibration", {})
+    checked = facts.setdefault("calibration", {})
     indices = chosen(data, None, frames, runs=True)
     names = dict.fromkeys(name for index in indices for name in _pictured(data, index))
     for name in names:
         try:
-            found = check_camera(*camera_views(data, chosen(data, None, frames, runs=False), name))
+            check = check_camera(*camera_views(data, chosen(data, None, frames, runs=False), name))
         except (FarfieldError, OSError, ValueError) as error:
             yield Finding(severity="warn", topic=f"calibration of {name}", what=f"could not be checked: {error}")
             continue
-        known[name] = vars(found)
-        yield _finding(name, found, f"farfield calibrate lidar-camera {data.root} --camera {name}")
+        checked[name] = vars(check)
+        yield _finding(name, check, f"farfield calibrate lidar-camera {data.root} --camera {name}")
     if isinstance(data.unwrapped, KRadar) and "radar" in data[indices[0]].clouds:
         try:
-            found = check_radar(*radar_evidence(data, indices))
+            check = check_radar(*radar_evidence(data, indices))
         except (FarfieldError, OSError, ValueError) as error:
             yield Finding(severity="warn", topic="calibration of radar", what=f"could not be checked: {error}")
             return
-        known["radar"] = vars(found)
-        yield _finding("radar", found, f"farfield calibrate radar-lidar {data.root}")
+        checked["radar"] = vars(check)
+        yield _finding("radar", check, f"farfield calibrate radar-lidar {data.root}")
 
 
 def _pictured(data: Dataset, index: int) -> list[str]:
@@ -61,24 +61,24 @@ def _pictured(data: Dataset, index: int) -> list[str]:
     return [name for name in frame.cameras if name in frame.images]
 
 
-def _finding(name: str, found: CalibrationCheck, mend: str) -> Finding:
-    size = f"{found.degrees:.2f} degrees, {found.cm:.0f} cm" + (f", {found.px:.1f} px" if found.px else "")
-    drift = f"{found.drift_degrees:.2f} degrees, {found.drift_cm:.0f} cm"
+def _finding(name: str, check: CalibrationCheck, mend: str) -> Finding:
+    size = f"{check.degrees:.2f} degrees, {check.cm:.0f} cm" + (f", {check.px:.1f} px" if check.px else "")
+    drift = f"{check.drift_degrees:.2f} degrees, {check.drift_cm:.0f} cm"
     what = {
-        "fits": f"fits {found.frames} frames (aligning moves it by {size})",
-        "off": f"does not fit: {size} away from where {found.frames} frames put it",
+        "fits": f"fits {check.frames} frames (aligning moves it by {size})",
+        "off": f"does not fit: {size} away from where {check.frames} frames put it",
         "moved": f"the sensor moved during the drive: {drift} between its first and second half",
-        "not told": f"{found.frames} frames do not tell: {_lacking(found)}",
-    }[found.verdict]
-    severity: Severity = "warn" if found.claimed else "ok"
-    return Finding(severity=severity, topic=f"calibration of {name}", what=what, mend=mend if found.claimed else "")
+        "not told": f"{check.frames} frames do not tell: {_lacking(check)}",
+    }[check.verdict]
+    severity: Severity = "warn" if check.claimed else "ok"
+    return Finding(severity=severity, topic=f"calibration of {name}", what=what, mend=mend if check.claimed else "")
 
 
-def _lacking(found: CalibrationCheck) -> str:
-    if not found.needed:
+def _lacking(check: CalibrationCheck) -> str:
+    if not check.needed:
         return "too few, or nothing that both sensors see"
-    asked = f"{100 * ASKED_M:.0f} cm and {np.degrees(ASKED_RAD):.0f} degree"
-    return f"about {found.needed} frames needed to find errors of {asked}"
+    limits = f"{100 * ASKED_M:.0f} cm and {np.degrees(ASKED_RAD):.0f} degree"
+    return f"about {check.needed} frames needed to find errors of {limits}"
 
 
 def camera_views(data: Dataset, indices: Iterable[int], name: str) -> tuple[Camera, EdgeViews]:
@@ -114,11 +114,11 @@ def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, Ra
     Raises:
         DatasetError: If a frame lacks the radar or the LiDAR.
     """
-    found = list(indices)
-    sensor = data[found[0]].sensors.get("radar")
+    numbers = list(indices)
+    sensor = data[numbers[0]].sensors.get("radar")
     if sensor is None or sensor.frame_T_sensor is None:
         raise DatasetError("radar: expected its pose, found none")
     pose = invert(sensor.frame_T_sensor)
     x, y, z = (float(value) for value in pose[:3, 3])
-    given = RadarPose(x_m=x, y_m=y, z_m=z, yaw_rad=float(np.arctan2(pose[1, 0], pose[0, 0])))
-    return given, RadarEvidence.of(read_moments((data[index] for index in found), node_m=KRADAR_NODE_M))
+    pose_given = RadarPose(x_m=x, y_m=y, z_m=z, yaw_rad=float(np.arctan2(pose[1, 0], pose[0, 0])))
+    return pose_given, RadarEvidence.of(read_moments((data[index] for index in numbers), node_m=KRADAR_NODE_M))

@@ -30,21 +30,21 @@ _LARGEST_M = {  # length, width, height of the largest plausible objects, sorted
 }
 
 
-def check_clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_clouds(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Tell columns, points a sweep, reach and intensity of each pattern."""
-    for name in found.sensors:
-        read = [sample.clouds[name] for sample in found.samples if name in sample.clouds]
-        if not read:
+    for name in survey.sensors:
+        loaded = [sample.clouds[name] for sample in survey.samples if name in sample.clouds]
+        if not loaded:
             continue
-        points = np.concatenate([cloud.points_m for cloud in read])
-        reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
-        per_sweep = sorted(len(cloud) for cloud in read)
-        given = [cloud.intensity for cloud in read if cloud.intensity is not None]
-        strength = np.concatenate(given) if given else None
-        columns = ["x", "y", "z", *["intensity"] * bool(given), *read[0].extra]
+        points = np.concatenate([cloud.points_m for cloud in loaded])
+        reach_m = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
+        per_sweep = sorted(len(cloud) for cloud in loaded)
+        intensities = [cloud.intensity for cloud in loaded if cloud.intensity is not None]
+        strength = np.concatenate(intensities) if intensities else None
+        columns = ["x", "y", "z", *["intensity"] * bool(intensities), *loaded[0].extra]
         facts.setdefault("clouds", {})[name] = {
             "points": per_sweep[len(per_sweep) // 2],
-            "reach_m": round(reach, 1),
+            "reach_m": round(reach_m, 1),
             "columns": columns,
             "intensity": None
             if strength is None
@@ -52,23 +52,23 @@ def check_clouds(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         }
         what = (
             f"{len(columns)} columns ({', '.join(columns)}), {per_sweep[0]}..{per_sweep[-1]} points a sweep, reach "
-            f"{reach:.0f} m"
+            f"{reach_m:.0f} m"
         )
         if strength is not None:
             low, high = strength.min(initial=1.0), strength.max(initial=0.0)
-            what += f", intensity {low:.3f}..{high:.3f}{_scale_text(found, name)}"
-        gone = sum(cloud.missing for cloud in read)
+            what += f", intensity {low:.3f}..{high:.3f}{_scale_text(survey, name)}"
+        gone = sum(cloud.missing for cloud in loaded)
         if gone:
             what += f", {gone} points without a place (no return) left out"
         yield Finding(severity="ok", topic=f"cloud {name}", what=what)
         if strength is not None and not strength.any():
-            mapped = isinstance(found.dataset.unwrapped, Cirrus)
+            mapped = isinstance(survey.dataset.unwrapped, Cirrus)
             mend = "A detector trained with intensity will not work here" + (
                 ": name the right column in the mapping." if mapped else "; see whether another column holds it."
             )
             yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", mend=mend)
-        yield from _doubtful_columns(name, read)
-        yield from _units_of_points(name, points, reach)
+        yield from _doubtful_columns(name, loaded)
+        yield from _units_of_points(name, points, reach_m)
 
 
 def _doubtful_columns(name: str, read: Sequence[Cloud]) -> Iterator[Finding]:
@@ -89,8 +89,8 @@ def _doubtful_columns(name: str, read: Sequence[Cloud]) -> Iterator[Finding]:
         yield Finding(severity="warn", topic=f"cloud {name}", what=what, mend=mend)
 
 
-def _scale_text(found: Survey, name: str) -> str:
-    reader = found.dataset.unwrapped
+def _scale_text(survey: Survey, name: str) -> str:
+    reader = survey.dataset.unwrapped
     if not isinstance(reader, Cirrus) or name not in reader.intensity_scale:
         return ""
     decided = "decided from the data" if reader.mapping.xyz.intensity_scale == "auto" else "given"
@@ -106,8 +106,8 @@ def _small_unit(points: Float32[np.ndarray, "n 3"]) -> str:
     """The unit in which a sweep looks most like one of a road: the farthest point alone cannot tell 250 m from 25 m."""
     middle = float(np.median(np.hypot(points[:, 0], points[:, 1])))
     low, high = np.quantile(points[:, 2], (0.05, 0.95))
-    seen = np.log([max(middle, 1e-6) / _MEDIAN_RANGE_M, max(float(high - low), 1e-6) / _HEIGHTS_M])
-    return min(_UNITS, key=lambda unit: float(np.abs(seen - np.log(_UNITS[unit])).sum()))
+    log_ratios = np.log([max(middle, 1e-6) / _MEDIAN_RANGE_M, max(float(high - low), 1e-6) / _HEIGHTS_M])
+    return min(_UNITS, key=lambda unit: float(np.abs(log_ratios - np.log(_UNITS[unit])).sum()))
 
 
 def _units_of_points(name: str, points: Float32[np.ndarray, "n 3"], reach_m: float) -> Iterator[Finding]:
@@ -118,9 +118,9 @@ def _units_of_points(name: str, points: Float32[np.ndarray, "n 3"], reach_m: flo
         yield Finding(severity="fail", topic="units", what=what, where=name, mend="Bring the points to metres.")
 
 
-def check_classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Count classes by range, and tell names that the vocabulary lacks."""
-    boxes = found.all_boxes()
+    boxes = survey.all_boxes()
     table: dict[str, dict[str, int]] = {}
     names = [f"{low:g}-{high:g} m" if high < np.inf else f"{low:g}+ m" for low, high in _bins()]
     for label in sorted(set(np.asarray(boxes.label).tolist())):
@@ -131,14 +131,14 @@ def check_classes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     for label, row in table.items():
         shown = ", ".join(f"{count} at {name}" for name, count in row.items() if count)
         yield Finding(severity="ok", topic=f"class {label}", what=f"{counted(sum(row.values()), 'box')}: {shown}")
-    reader = found.dataset.unwrapped
+    reader = survey.dataset.unwrapped
     if not isinstance(reader, Cirrus):
         yield from _own_names(table, in_folder=isinstance(reader, Folder))
         return
     aliases = reader.mapping.labels.aliases
     strange = {
         name: count
-        for name, count in found.raw_labels.items()
+        for name, count in survey.raw_labels.items()
         if normalised_class(name, aliases) == "unknown" and name.strip().lower() != "unknown"
     }
     if strange:
@@ -158,15 +158,16 @@ def _own_names(table: Mapping[str, Mapping[str, int]], *, in_folder: bool) -> It
     strange = {label: count for label, count in counts.items() if label not in CIRRUS_CLASSES}
     if not strange:
         return
-    known = [name for name in CIRRUS_CLASSES if name != "unknown"]
-    meant = {label: guess for label in strange if (guess := meant_by(label, known))}
+    vocabulary = [name for name in CIRRUS_CLASSES if name != "unknown"]
+    meant = {label: guess for label in strange if (guess := meant_by(label, vocabulary))}
     shown = ", ".join(f"{label!r} ({count})" for label, count in list(strange.items())[:8])
-    example = meant or {next(iter(strange)): known[0]}
+    example = meant or {next(iter(strange)): vocabulary[0]}
     pairs = ", ".join(f"{label}: {guess}" for label, guess in example.items())
     yield Finding(
         severity="fail" if len(strange) == len(counts) else "warn",
         topic="class names",
-        what=f"not in the vocabulary ({', '.join(known)}): {shown}" + (f"; did you mean {pairs}?" if meant else ""),
+        what=f"not in the vocabulary ({', '.join(vocabulary)}): {shown}"
+        + (f"; did you mean {pairs}?" if meant else ""),
         mend=_rename(pairs, in_folder=in_folder),
     )
 
@@ -186,9 +187,9 @@ def _bins() -> list[tuple[float, float]]:
     return list(pairwise(RANGE_BINS_M))
 
 
-def check_sizes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_sizes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Check the unit of the sizes and find implausible ones."""
-    boxes = found.all_boxes()
+    boxes = survey.all_boxes()
     if not len(boxes):
         return
     longest = float(np.median(boxes.size_m.max(axis=1)))
@@ -208,10 +209,10 @@ def check_sizes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     yield Finding(severity=severity, topic="box sizes", what=what, mend=mend)  # type: ignore[arg-type]
 
 
-def check_suspicious_boxes(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_suspicious_boxes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Find empty, doubled and underground boxes in the frames whose clouds were read."""
     total = near = empty = near_empty = doubled = buried = 0
-    for sample, boxes in found.annotated_samples():
+    for sample, boxes in survey.annotated_samples():
         points = sample.points_m
         count = count_points(points, boxes, ())[:, 0]
         close = boxes.range_m < 70.0
@@ -231,7 +232,7 @@ def check_suspicious_boxes(found: Survey, facts: dict[str, Any]) -> Iterator[Fin
     if buried:
         what = f"{buried} of {total} boxes end below the ground round them"
         severity = "fail" if buried > 0.5 * total and total >= 10 else "warn"
-        named = " (position_is in the mapping)" if isinstance(found.dataset.unwrapped, Cirrus) else ""
+        named = " (position_is in the mapping)" if isinstance(survey.dataset.unwrapped, Cirrus) else ""
         mend = f"Check the height of the boxes{named} and the pose of the sensor."
         yield Finding(severity=severity, topic="underground", what=what, mend=mend)  # type: ignore[arg-type]
 
@@ -263,10 +264,10 @@ _BESIDE_M = 0.5
 _STANDING = 0.7  # cosine between the image's down and the ground's: 45 degrees
 
 
-def check_clouds_upright(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_clouds_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Look for the densest layer, the ground: the rest of a cloud stands above it."""
     del facts
-    points = [sample.points_m for sample in found.samples]
+    points = [sample.points_m for sample in survey.samples]
     z = np.concatenate(points)[:, 2] if points else np.zeros(0)
     z = z[np.isfinite(z)]
     if len(z) < _LEAST_POINTS:
@@ -284,11 +285,11 @@ def check_clouds_upright(found: Survey, facts: dict[str, Any]) -> Iterator[Findi
         yield Finding(severity="fail", topic="axes", what=what, mend=mend)
 
 
-def check_cameras_upright(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_cameras_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Hold the cameras' poses against the ground: an image's lower edge points down."""
     del facts
     try:
-        cameras = found.dataset[0].cameras if found.cameras and len(found.dataset) else {}
+        cameras = survey.dataset[0].cameras if survey.cameras and len(survey.dataset) else {}
     except (FarfieldError, OSError, ValueError):
         return  # the survey has reported it
     for name, camera in cameras.items():

@@ -125,7 +125,7 @@ def count_points(
         return np.zeros((len(boxes), len(sets)), dtype=np.int64)
     points = points_m[above_ground(points_m)]
     radius = float(np.linalg.norm(boxes.size_m, axis=1).max()) / 2 + 2 * BOX_MARGIN_M
-    centres = np.unique(np.concatenate([some.centre_m for some in sets]).round(3), axis=0)
+    centres = np.unique(np.concatenate([part.centre_m for part in sets]).round(3), axis=0)
     nearest, _ = cKDTree(centres).query(points, distance_upper_bound=radius)
     points = points[np.isfinite(nearest)]
     if len(points) == 0:
@@ -135,8 +135,8 @@ def count_points(
 
 def _count(points_m: Float[np.ndarray, "n 3"], boxes: Boxes) -> Int[np.ndarray, " m"]:
     """Points inside each of many boxes, all pairs of a box and a point near it at once."""
-    reach = np.hypot(*(boxes.size_m[:, :2].T / 2 + BOX_MARGIN_M))
-    near = cKDTree(points_m[:, :2]).query_ball_point(boxes.centre_m[:, :2], reach, return_sorted=False)
+    radius_m = np.hypot(*(boxes.size_m[:, :2].T / 2 + BOX_MARGIN_M))
+    near = cKDTree(points_m[:, :2]).query_ball_point(boxes.centre_m[:, :2], radius_m, return_sorted=False)
     owner = np.repeat(np.arange(len(boxes)), [len(indices) for indices in near])
     if len(owner) == 0:
         return np.zeros(len(boxes), dtype=np.int64)
@@ -293,12 +293,12 @@ _UPRIGHT = 0.9  # cosine of the largest tilt of an upright box, 26 degrees
 _SPELLED = {"xyzw": "x y z w", "wxyz": "w x y z"}
 
 
-def check_quaternion_order(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_quaternion_order(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Decide the order of the quaternions: in the right one objects stand upright."""
-    reader = found.dataset.unwrapped
+    reader = survey.dataset.unwrapped
     if not isinstance(reader, Cirrus):
         return
-    raws = list(_raw_labels(reader, found.dataset.origins))
+    raws = list(_raw_labels(reader, survey.dataset.origins))
     rows = np.concatenate([raw.quaternion for raw in raws]) if raws else np.zeros((0, 4))
     norm = np.linalg.norm(rows, axis=1)
     rows = rows[norm > 0] / norm[norm > 0, None]
@@ -343,12 +343,12 @@ def _raw_labels(reader: Cirrus, indices: Iterable[int]) -> Iterator[RawLabels]:
             yield raw
 
 
-def check_conventions(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_conventions(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Let the points decide size order, heading, centre and axes."""
     points, boxes = [], []
-    for sample, annotated in found.annotated_samples():
+    for sample, annotated in survey.annotated_samples():
         points.append(sample.points_m)
-        boxes.append(_in_decided_order(found, sample.key, annotated, facts))
+        boxes.append(_in_decided_order(survey, sample.key, annotated, facts))
     if not boxes:
         return
     counts = np.concatenate([count_points(p, b, (*READINGS, *HEADINGS)) for p, b in zip(points, boxes, strict=True)])
@@ -357,9 +357,9 @@ def check_conventions(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]
         [ballot for ballot, _ in supported_changes(points, boxes)] if any(b.wins for b in by_name.values()) else []
     )
     together = Boxes.concatenate([b.plain() for b in boxes])
-    yield from _size_order(found, by_name, changes, together, facts)
+    yield from _size_order(survey, by_name, changes, together, facts)
     headings = counts[:, [0, *range(1 + len(READINGS), counts.shape[1])]]
-    reader = found.dataset.unwrapped
+    reader = survey.dataset.unwrapped
     yield from _heading(reader, by_name, changes, together, misfit_share(headings, together.size_m), facts)
     yield from _centre(reader, by_name, changes, facts)
     for ballot in changes:
@@ -406,19 +406,19 @@ def _mend(reader: Dataset, action: str, setting: str) -> str:
     return f"{action}{settable}."
 
 
-def _in_decided_order(found: Survey, key: tuple[str, str], boxes: Boxes, facts: dict[str, Any]) -> Boxes:
+def _in_decided_order(survey: Survey, key: tuple[str, str], boxes: Boxes, facts: dict[str, Any]) -> Boxes:
     """Boxes read with the quaternion order that the data show, so that the other checks do not trip over it."""
-    order, reader = facts.get("quaternion_order"), found.dataset.unwrapped
+    order, reader = facts.get("quaternion_order"), survey.dataset.unwrapped
     if not isinstance(reader, Cirrus) or order in (None, reader.mapping.labels.quat_order):
         return boxes
     index = reader.keys.index(key)
     raw = reader.raw_labels(index)
     assert raw is not None
     read = boxes_from_labels(raw, reader.mapping.labels.model_copy(update={"quat_order": order}))
-    seen = reader.frame(index).annotated(Annotation(boxes=read))
-    for function in found.dataset.maps:
-        seen = function(seen, none_before)
-    return boxes if seen.boxes is None else seen.boxes
+    frame = reader.frame(index).annotated(Annotation(boxes=read))
+    for function in survey.dataset.maps:
+        frame = function(frame, none_before)
+    return boxes if frame.boxes is None else frame.boxes
 
 
 def _votes(ballot: ConventionVotes) -> str:
@@ -426,19 +426,19 @@ def _votes(ballot: ConventionVotes) -> str:
 
 
 def _size_order(
-    found: Survey,
+    survey: Survey,
     by_name: dict[str, ConventionVotes],
     changes: list[ConventionVotes],
     boxes: Boxes,
     facts: dict[str, Any],
 ) -> Iterator[Finding]:
-    reader = found.dataset.unwrapped
+    reader = survey.dataset.unwrapped
     read = reader.mapping.labels.size_order if isinstance(reader, Cirrus) else "lwh"
     change = next((ballot for ballot in changes if ballot.name in SIZE_READINGS), None)
     if change is not None and not _quarter_turn(change, boxes):
         letters = [""] * 3
-        for place, letter in zip(SIZE_READINGS[change.name], "lwh", strict=True):
-            letters[read.index("lwh"[place])] = letter
+        for axis, letter in zip(SIZE_READINGS[change.name], "lwh", strict=True):
+            letters[read.index("lwh"[axis])] = letter
         facts["size_order"] = "".join(letters)
         what = f"{' '.join(letters)}, but read as {' '.join(read)}{_votes(change)}"
         mend = _mend(reader, f"Write sizes as {' '.join(read)}", f"size_order: {''.join(letters)}")
@@ -508,11 +508,11 @@ def _centre(
     names = {"raised by h/2": "bottom", "lowered by h/2": "top"}
     change = next((ballot for ballot in changes if ballot.name in names), None)
     if change is not None:
-        place = names[change.name]
-        facts["position"] = place
-        what = f"position is the {place} of the box, but read as its centre{_votes(change)}"
-        sign = "Add" if place == "bottom" else "Subtract"
-        mend = _mend(reader, f"{sign} half the height", "position_is: bottom" if place == "bottom" else "")
+        position = names[change.name]
+        facts["position"] = position
+        what = f"position is the {position} of the box, but read as its centre{_votes(change)}"
+        sign = "Add" if position == "bottom" else "Subtract"
+        mend = _mend(reader, f"{sign} half the height", "position_is: bottom" if position == "bottom" else "")
         yield Finding(severity="fail", topic="box centre", what=what, mend=mend)
         return
     facts["position"] = "centre"

@@ -15,70 +15,70 @@ from farfield.inspection.doctor.survey import Finding, Survey, counted
 from farfield.sync.stamps import StreamStats, health
 
 
-def check_inventory(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Tell which sensors, labels and calibrations there are, and what could not be read."""
-    count = len(found.dataset)
-    facts |= {"frames": count, "sweeps": dict(found.sensors), "images": dict(found.images)}
-    facts |= {"labelled_frames": len(found.boxes), "calibrated_cameras": sorted(found.cameras)}
-    if isinstance(found.dataset.unwrapped, Cirrus):
-        yield from _cirrus_folders(found, found.dataset.unwrapped)
+    count = len(survey.dataset)
+    facts |= {"frames": count, "sweeps": dict(survey.sensors), "images": dict(survey.images)}
+    facts |= {"labelled_frames": len(survey.boxes), "calibrated_cameras": sorted(survey.cameras)}
+    if isinstance(survey.dataset.unwrapped, Cirrus):
+        yield from _cirrus_folders(survey, survey.dataset.unwrapped)
     else:
-        kinds = ", ".join(f"{number} with cloud {name}" for name, number in found.sensors.items()) or "no clouds"
+        kinds = ", ".join(f"{number} with cloud {name}" for name, number in survey.sensors.items()) or "no clouds"
         yield Finding(
-            severity="ok" if found.sensors else "fail",
+            severity="ok" if survey.sensors else "fail",
             topic="frames",
             what=f"{counted(count, 'frame')}: {kinds}",
             mend=""
-            if found.sensors
+            if survey.sensors
             else "Add the clouds: without them nothing can be trained or detected. Annotations alone are enough for "
             "farfield stats and farfield score.",
         )
-    yield _labels(found)
-    yield from _stray_labels(found)
-    images = ", ".join(f"{number} of {name}" for name, number in found.images.items())
+    yield _labels(survey)
+    yield from _stray_labels(survey)
+    images = ", ".join(f"{number} of {name}" for name, number in survey.images.items())
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
-    yield _calibration(found)
-    for error in found.damaged[:5]:
+    yield _calibration(survey)
+    for error in survey.damaged[:5]:
         yield Finding(severity="fail", topic="damaged", what=error, mend="Mend or remove the file.")
-    if len(found.damaged) > 5:
-        yield Finding(severity="fail", topic="damaged", what=f"and {len(found.damaged) - 5} more")
+    if len(survey.damaged) > 5:
+        yield Finding(severity="fail", topic="damaged", what=f"and {len(survey.damaged) - 5} more")
 
 
-def _calibration(found: Survey) -> Finding:
-    if found.cameras or not found.images:
-        what = f"cameras {', '.join(sorted(found.cameras))}" if found.cameras else "no calibration"
+def _calibration(survey: Survey) -> Finding:
+    if survey.cameras or not survey.images:
+        what = f"cameras {', '.join(sorted(survey.cameras))}" if survey.cameras else "no calibration"
         return Finding(severity="ok", topic="calibration", what=what)
     mend = "Boxes cannot be drawn into the images."
-    if isinstance(found.dataset.unwrapped, Cirrus | Folder):
+    if isinstance(survey.dataset.unwrapped, Cirrus | Folder):
         mend += " Put calibration.yaml (matrix, distortion, camera_T_lidar, width, height) into the root."
     return Finding(severity="warn", topic="calibration", what="no calibration", mend=mend)
 
 
-def _cirrus_folders(found: Survey, reader: Cirrus) -> Iterator[Finding]:
+def _cirrus_folders(survey: Survey, reader: Cirrus) -> Iterator[Finding]:
     """Tell the files of each pattern; of a selection of frames those that belong to them."""
-    whole = set(found.dataset.origins) == set(range(len(reader)))
-    chosen = [reader.entries[index] for index in dict.fromkeys(found.dataset.origins)]
-    for pattern, word in (("gaussian", "Gaussian"), ("uniform", "uniform")):
+    all_frames = set(survey.dataset.origins) == set(range(len(reader)))
+    chosen = [reader.entries[index] for index in dict.fromkeys(survey.dataset.origins)]
+    for pattern, pattern_name in (("gaussian", "Gaussian"), ("uniform", "uniform")):
         files = sum(len(part.files[pattern]) for part in reader.parts)
-        files = files if whole else sum(getattr(entry, pattern) is not None for entry in chosen)
-        used = found.sensors.get(pattern, 0)
+        files = files if all_frames else sum(getattr(entry, pattern) is not None for entry in chosen)
+        used = survey.sensors.get(pattern, 0)
         if files == 0:
             yield Finding(
                 severity="warn",
-                topic=f"{word} sweeps",
-                what=f"no {word.lower() if word == 'uniform' else word} folder",
+                topic=f"{pattern_name} sweeps",
+                what=f"no {pattern_name.lower() if pattern_name == 'uniform' else pattern_name} folder",
                 mend=f"Only the other pattern can be used. If it is there, name it: layout: {{{pattern}: ...}}.",
             )
             continue
-        facts = counted(files, f"{word} frame")
+        facts = counted(files, f"{pattern_name} frame")
         alone = "" if used == files or pattern == "gaussian" else f", {used} frames have one"
-        yield Finding(severity="ok", topic=f"{word} sweeps", what=facts + alone)
-    parts = reader.parts if whole else {(one.part.root, one.part.number): one.part for one in chosen}.values()
+        yield Finding(severity="ok", topic=f"{pattern_name} sweeps", what=facts + alone)
+    parts = reader.parts if all_frames else {(one.part.root, one.part.number): one.part for one in chosen}.values()
     stems = {path.stem for part in reader.parts for path in part.files["gaussian"]}
     orphans = [path for part in parts for path in part.files["labels"] if path.stem not in stems]
     if orphans:
         yield Finding(
-            severity="fail" if not found.boxes else "warn",
+            severity="fail" if not survey.boxes else "warn",
             topic="labels",
             what=f"{len(orphans)} annotations have no Gaussian sweep of the same name",
             where=orphans[0].name,
@@ -86,25 +86,25 @@ def _cirrus_folders(found: Survey, reader: Cirrus) -> Iterator[Finding]:
         )
 
 
-def _labels(found: Survey) -> Finding:
-    count, boxes = len(found.dataset), sum(len(some) for some in found.boxes)
-    what = f"{len(found.boxes)} of {count} frames annotated, {boxes} boxes"
+def _labels(survey: Survey) -> Finding:
+    count, boxes = len(survey.dataset), sum(len(part) for part in survey.boxes)
+    what = f"{len(survey.boxes)} of {count} frames annotated, {boxes} boxes"
     if boxes == 0:
         mend = "Training and scoring need boxes; prediction does not. Check the folder's name and the stems."
         return Finding(severity="fail", topic="labels", what=what, mend=mend)
-    if found.unlabelled:
+    if survey.unlabelled:
         mend = "Frames without annotation are left out of training and scoring."
         return Finding(severity="warn", topic="labels", what=what, mend=mend)
     return Finding(severity="ok", topic="labels", what=what)
 
 
-def _stray_labels(found: Survey) -> Iterator[Finding]:
+def _stray_labels(survey: Survey) -> Iterator[Finding]:
     """Annotations of one's own folder that belong to no cloud."""
-    reader = found.dataset.unwrapped
+    reader = survey.dataset.unwrapped
     strays = reader.strays if isinstance(reader, Folder) else ()
     if strays:
         yield Finding(
-            severity="warn" if found.boxes else "fail",
+            severity="warn" if survey.boxes else "fail",
             topic="labels",
             what=f"{len(strays)} annotations belong to no cloud",
             where=strays[0],
@@ -112,18 +112,18 @@ def _stray_labels(found: Survey) -> Iterator[Finding]:
         )
 
 
-def check_timing(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_timing(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Tell frame rate, segments, pauses, and how far apart the two patterns are."""
-    sequences = found.dataset.sequences
+    sequences = survey.dataset.sequences
     facts["sequences"] = len(set(sequences))
-    times = found.times_ns
+    times = survey.times_ns
     if not times or any(time is None for time in times):
         yield Finding(severity="ok", topic="times", what=f"no times; {counted(facts['sequences'], 'sequence')}")
     else:
         yield _rate(np.array(times, dtype=np.int64), sequences, facts)
-    if found.pair_dt_ms:
-        yield _pairs(np.array(found.pair_dt_ms), len(found.dataset), facts)
-    elif found.sensors.keys() >= {"gaussian", "uniform"}:
+    if survey.pair_dt_ms:
+        yield _pairs(np.array(survey.pair_dt_ms), len(survey.dataset), facts)
+    elif survey.sensors.keys() >= {"gaussian", "uniform"}:
         yield Finding(severity="warn", topic="pairing", what="patterns paired by order: the names hold no times")
 
 
@@ -190,9 +190,9 @@ class StampOffset:
     period_ms: float | None
 
 
-def check_stamps(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_stamps(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Tell streams whose stamps double, run backwards or break off, and sensors out of step with the frames."""
-    streams = _streams(found)
+    streams = _streams(survey)
     if not streams:
         return
     single = {name: {drive: health(times[:, 1]) for drive, times in by.items()} for name, by in streams.items()}
@@ -211,23 +211,23 @@ def check_stamps(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic="stamps", what=f"{counted(len(single), 'stream')} in order{sensors}")
 
 
-def _streams(found: Survey) -> dict[str, dict[str, Int64[np.ndarray, "n 2"]]]:
+def _streams(survey: Survey) -> dict[str, dict[str, Int64[np.ndarray, "n 2"]]]:
     """Place among the frames and stamp of each stream's messages, by stream and drive."""
     rows: dict[str, dict[str, list[tuple[int, int]]]] = {}
-    drives = found.dataset.sequences
-    for place, (time_ns, sensors) in enumerate(zip(found.times_ns, found.sensor_times_ns, strict=True)):
-        known = sensors if time_ns is None else {FRAMES: time_ns, **sensors}
-        for name, stamp_ns in known.items():
-            rows.setdefault(name, {}).setdefault(drives[place], []).append((place, stamp_ns))
+    drives = survey.dataset.sequences
+    for index, (time_ns, sensors) in enumerate(zip(survey.times_ns, survey.sensor_times_ns, strict=True)):
+        stamps = sensors if time_ns is None else {FRAMES: time_ns, **sensors}
+        for name, stamp_ns in stamps.items():
+            rows.setdefault(name, {}).setdefault(drives[index], []).append((index, stamp_ns))
     return {name: {drive: np.array(pairs, dtype=np.int64) for drive, pairs in by.items()} for name, by in rows.items()}
 
 
 def _figures(by: Mapping[str, StreamStats], step: StampOffset | None) -> dict[str, Any]:
-    longest = max((each.longest_gap_ns or 0 for each in by.values() if each.gaps), default=0)
+    longest = max((stats.longest_gap_ns or 0 for stats in by.values() if stats.gaps), default=0)
     alone = {
-        "duplicates": sum(each.duplicates for each in by.values()),
-        "backwards": sum(each.backwards for each in by.values()),
-        "gaps": sum(each.gaps for each in by.values()),
+        "duplicates": sum(stats.duplicates for stats in by.values()),
+        "backwards": sum(stats.backwards for stats in by.values()),
+        "gaps": sum(stats.gaps for stats in by.values()),
         "longest_gap_s": longest / 1e9,
     }
     return alone | ({} if step is None else dict(vars(step)))
@@ -235,15 +235,15 @@ def _figures(by: Mapping[str, StreamStats], step: StampOffset | None) -> dict[st
 
 def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Finding]:
     """What is wrong with a stream by itself."""
-    words = {"duplicates": "twice the same", "backwards": "earlier than the one before"}
-    for what, said in words.items():
-        counts = {drive: getattr(each, what) for drive, each in by.items() if getattr(each, what)}
+    faults = {"duplicates": "twice the same", "backwards": "earlier than the one before"}
+    for what, fault in faults.items():
+        counts = {drive: getattr(stats, what) for drive, stats in by.items() if getattr(stats, what)}
         if counts:
             total = sum(counts.values())
             mend = "Times must grow within a drive: look for doubled files, or for a clock that was set."
-            text = f"{name}: {counted(total, 'stamp')} {said}, of {sum(each.count for each in by.values())}"
+            text = f"{name}: {counted(total, 'stamp')} {fault}, of {sum(stats.count for stats in by.values())}"
             yield Finding(severity="warn", topic="stamps", what=text, where=_named(counts), mend=mend)
-    breaks = {drive: each.longest_gap_ns or 0 for drive, each in by.items() if _breaks(each)}
+    breaks = {drive: stats.longest_gap_ns or 0 for drive, stats in by.items() if _breaks(stats)}
     if breaks and name == FRAMES:
         drive = max(breaks, key=lambda key: breaks[key])
         text = f"a break of {breaks[drive] / 1e9:.1f} s within a drive; {counted(len(breaks), 'drive')} with one"
@@ -251,8 +251,8 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
         yield Finding(severity="warn", topic="stamps", what=text, where=drive, mend=mend)
 
 
-def _breaks(each: StreamStats) -> bool:
-    return bool(each.longest_gap_ns and each.period_ns and each.longest_gap_ns > BREAK_PERIODS * each.period_ns)
+def _breaks(stats: StreamStats) -> bool:
+    return bool(stats.longest_gap_ns and stats.period_ns and stats.longest_gap_ns > BREAK_PERIODS * stats.period_ns)
 
 
 def _named(counts: Mapping[str, int]) -> str:
@@ -268,13 +268,13 @@ def _stamp_offset(
     for drive, rows in sensor.items():
         if drive not in frames:
             continue
-        places, own, theirs = np.intersect1d(rows[:, 0], frames[drive][:, 0], return_indices=True)
-        if not len(places):
+        indices, own, frame_rows = np.intersect1d(rows[:, 0], frames[drive][:, 0], return_indices=True)
+        if not len(indices):
             continue
-        stamp, time = rows[own, 1], frames[drive][theirs, 1]
+        stamp, time = rows[own, 1], frames[drive][frame_rows, 1]
         offset = (stamp - time) / 1e6
         offsets.append(offset)
-        steps = np.diff(stamp)[np.diff(places) == 1]
+        steps = np.diff(stamp)[np.diff(indices) == 1]
         if len(steps) >= FEWEST:
             period = float(np.median(steps)) / 1e6
             periods.append(period)

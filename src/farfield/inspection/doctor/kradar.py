@@ -36,42 +36,42 @@ _LEAST_BOXES = 200
 _ALONG_DEG = 30.0
 
 
-def check_kradar(found: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+def check_kradar(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     """Tell what is there of each modality, which annotations there are, and what is wrong with them."""
-    reader = found.dataset.unwrapped
+    reader = survey.dataset.unwrapped
     if not isinstance(reader, KRadar):
         return
-    names = list(dict.fromkeys(found.dataset.sequences))
-    known = facts.setdefault("kradar", {"sequences": len(names)})
-    entries = [reader.entries[index] for index in dict.fromkeys(found.dataset.origins)]
-    yield from _modalities(reader, Counter(found.dataset.sequences), names, known)
-    yield from _sequence_files(reader, names, known)
+    names = list(dict.fromkeys(survey.dataset.sequences))
+    kradar_facts = facts.setdefault("kradar", {"sequences": len(names)})
+    entries = [reader.entries[index] for index in dict.fromkeys(survey.dataset.origins)]
+    yield from _modalities(reader, Counter(survey.dataset.sequences), names, kradar_facts)
+    yield from _sequence_files(reader, names, kradar_facts)
     if not is_simulated(reader.root):  # whose clock and speed mean nothing
-        yield from condition_findings(found.dataset.drives(), _conditions(reader, names))
-    yield from _versions(reader, entries, names, known)
+        yield from condition_findings(survey.dataset.drives(), _conditions(reader, names))
+    yield from _versions(reader, entries, names, kradar_facts)
     table = read_label_table(entries)
     if not len(table.stem):
         return
-    yield from _defects(table, known)
-    yield from _published(reader, table, known)
-    yield from _units(table, known)
+    yield from _defects(table, kradar_facts)
+    yield from _published(reader, table, kradar_facts)
+    yield from _units(table, kradar_facts)
 
 
 def _conditions(dataset: KRadar, names: Iterable[str]) -> dict[str, dict[str, str]]:
-    known: dict[str, dict[str, str]] = {}
+    conditions: dict[str, dict[str, str]] = {}
     for name in names:
         with suppress(FarfieldError):  # damaged: told where the sequence's files are
-            known[name] = dataset.of_sequence(name).conditions
-    return known
+            conditions[name] = dataset.of_sequence(name).conditions
+    return conditions
 
 
 def _modalities(
-    dataset: KRadar, frames: Mapping[str, int], names: Sequence[str], known: dict[str, Any]
+    dataset: KRadar, frames: Mapping[str, int], names: Sequence[str], kradar_facts: dict[str, Any]
 ) -> Iterator[Finding]:
-    known["files"] = {}
+    kradar_facts["files"] = {}
     for product in (*RADAR_PRODUCTS, *LIDARS, *CAMERAS):
         per = {name: count for name in names if (count := _count(dataset, product, name))}
-        known["files"][product] = per
+        kradar_facts["files"][product] = per
         topic = f"radar {product}" if product in RADAR_PRODUCTS else product
         if not per:
             yield Finding(severity="ok", topic=topic, what="none", absent=True)
@@ -88,11 +88,11 @@ def _modalities(
 
 def _count(dataset: KRadar, product: str, sequence: str) -> int:
     examples = spellings(product, sequence, 0)
-    found = {n for root in dataset.roots for path in examples for n in numbered_files(root / path.parent, path)}
-    return len(found)
+    numbers = {n for root in dataset.roots for path in examples for n in numbered_files(root / path.parent, path)}
+    return len(numbers)
 
 
-def _sequence_files(dataset: KRadar, names: Sequence[str], known: dict[str, Any]) -> Iterator[Finding]:
+def _sequence_files(dataset: KRadar, names: Sequence[str], kradar_facts: dict[str, Any]) -> Iterator[Finding]:
     shared: dict[str, SequenceFacts] = {}
     for name in names:
         try:
@@ -100,7 +100,7 @@ def _sequence_files(dataset: KRadar, names: Sequence[str], known: dict[str, Any]
         except FarfieldError as error:
             mend = "Mend or remove the file: no frame of the sequence can be read."
             yield Finding(severity="fail", topic="damaged", what=str(error), where=f"sequence {name}", mend=mend)
-    there = {
+    sequences_with = {
         "description": [n for n, one in shared.items() if one.conditions_from == "description.txt"],
         "published conditions": [n for n, one in shared.items() if one.conditions_from == "published table"],
         "radar calibration": [n for n in names if dataset.calibrated(n)],
@@ -111,14 +111,14 @@ def _sequence_files(dataset: KRadar, names: Sequence[str], known: dict[str, Any]
         "IMU": [n for n, one in shared.items() if "imu" in one.motion],
         "dash video": [n for n, one in shared.items() if one.video is not None],
     }
-    known["sequence_files"] = there
-    for topic, having in there.items():
+    kradar_facts["sequence_files"] = sequences_with
+    for topic, having in sequences_with.items():
         lacks = [name for name in names if name not in having]
         what = "none" if not having else f"in {_share_of(having, names)}"
         what += f"; missing in {_listed(lacks)}" if having and lacks else ""
         stands_in = _standing_in(topic, having, lacks)
         yield Finding(severity="ok", topic=topic, what=what + stands_in, absent=not having and not stands_in)
-    described = set(there["description"]) | set(there["published conditions"])
+    described = set(sequences_with["description"]) | set(sequences_with["published conditions"])
     silent = [name for name in names if name not in described]
     if silent:
         mend = "Scores by weather leave them out. Add description.txt: road,time,weather."
@@ -135,12 +135,16 @@ def _standing_in(topic: str, having: Sequence[str], lacks: Sequence[str]) -> str
 
 
 def _versions(
-    dataset: KRadar, entries: Iterable[KRadarFiles], names: Sequence[str], known: dict[str, Any]
+    dataset: KRadar, entries: Iterable[KRadarFiles], names: Sequence[str], kradar_facts: dict[str, Any]
 ) -> Iterator[Finding]:
     read = Counter(entry.version for entry in entries if entry.label is not None)
-    there = {version: [n for n in names if find_labels(dataset.roots, n, (version,))] for version in LABEL_TREES}
-    known["label_versions"] = {version: len(having) for version, having in there.items()}
-    shown = ", ".join(f"{version} in {_share_of(having, names)}" for version, having in there.items() if having)
+    sequences_with = {
+        version: [n for n in names if find_labels(dataset.roots, n, (version,))] for version in LABEL_TREES
+    }
+    kradar_facts["label_versions"] = {version: len(having) for version, having in sequences_with.items()}
+    shown = ", ".join(
+        f"{version} in {_share_of(having, names)}" for version, having in sequences_with.items() if having
+    )
     if not shown:
         yield Finding(severity="ok", topic="label versions", what="none")
         return
@@ -151,8 +155,8 @@ def _versions(
     yield Finding(severity=severity, topic="label versions", what=f"{shown}; read: {used}", mend=mend)
 
 
-def _defects(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
-    known["defects"] = dict(table.defects) | {"damaged": len(table.damaged)}
+def _defects(table: LabelTable, kradar_facts: dict[str, Any]) -> Iterator[Finding]:
+    kradar_facts["defects"] = dict(table.defects) | {"damaged": len(table.damaged)}
     for name, count in table.defects.items():
         if count:
             mend = _LOOK_AT.get(name, "")
@@ -162,11 +166,11 @@ def _defects(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic="label defects", what="none of those that K-Radar is known for")
 
 
-def _published(dataset: KRadar, table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
+def _published(dataset: KRadar, table: LabelTable, kradar_facts: dict[str, Any]) -> Iterator[Finding]:
     """Compare numbers of frames with the published ones, and the frames' names with the calibration."""
     frames = Counter(table.sequence.tolist())
     short = [name for name, count in frames.items() if name in SEQUENCES and count != SEQUENCES[name].frames]
-    known["as_published"] = len(frames) - len(short)
+    kradar_facts["as_published"] = len(frames) - len(short)
     what = f"{len(frames) - len(short)} of {counted(len(frames), 'sequence')} have as many frames as published"
     yield Finding(severity="ok", topic="completeness", what=what + (f"; not {_listed(short)}" if short else ""))
     stems = np.array([stem.split("_") for stem in table.stem.tolist()], dtype=np.int64)
@@ -177,7 +181,7 @@ def _published(dataset: KRadar, table: LabelTable, known: dict[str, Any]) -> Ite
     yield Finding(severity="warn" if off else "ok", topic="frame difference", what=what, mend=mend)
 
 
-def _units(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
+def _units(table: LabelTable, kradar_facts: dict[str, Any]) -> Iterator[Finding]:
     """Decide half or full sizes and degrees or radians, and whether headings follow the road."""
     sedan = table.name == "Sedan"
     if sedan.sum() < _LEAST_BOXES:
@@ -185,33 +189,33 @@ def _units(table: LabelTable, known: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic="label units", what=what)
         return
     length = float(np.median(table.size_m[sedan, 0]))
-    known["median_sedan_length_m"] = round(length, 3)
+    kradar_facts["median_sedan_length_m"] = round(length, 3)
     good = _SEDAN_LENGTH_M[0] <= length <= _SEDAN_LENGTH_M[1]
     what = f"half lengths: twice the median of Sedans is {length:.2f} m"
     mend = "" if good else "The files seem to hold full lengths: halve them, as K-Radar does."
     yield Finding(severity="ok" if good else "fail", topic="label units", what=what, mend=mend)
     most = float(np.abs(table.yaw_deg).max())
-    known["largest_yaw"] = round(most, 2)
+    kradar_facts["largest_yaw"] = round(most, 2)
     degrees = most > 2.1 * np.pi
     what = f"yaw is in degrees: the largest is {most:.1f}" if degrees else f"no yaw is beyond {most:.2f}: radians?"
     mend = "" if degrees else "K-Radar writes degrees: multiply by 180 / pi."
     yield Finding(severity="ok" if degrees else "fail", topic="label yaw", what=what, mend=mend)
     if degrees:
-        yield _headings(table.yaw_deg[sedan], known)
+        yield _headings(table.yaw_deg[sedan], kradar_facts)
 
 
-def _headings(yaw_deg: np.ndarray, known: dict[str, Any]) -> Finding:
+def _headings(yaw_deg: np.ndarray, kradar_facts: dict[str, Any]) -> Finding:
     away = np.abs(np.mod(yaw_deg + 90.0, 180.0) - 90.0)  # from the x axis, 0 to 90
     along, across = float((away < _ALONG_DEG).mean()), float((away > 90.0 - _ALONG_DEG).mean())
-    known["sedans_along_x"], known["sedans_across_x"] = round(along, 3), round(across, 3)
+    kradar_facts["sedans_along_x"], kradar_facts["sedans_across_x"] = round(along, 3), round(across, 3)
     what = f"{along:.0%} of Sedans lie within {_ALONG_DEG:g} degrees of the vehicle's own axis, {across:.0%} across"
     turned = across > along
     mend = "They seem to be turned by 90 degrees: length and width, or the axis of yaw, are mixed up." if turned else ""
     return Finding(severity="fail" if turned else "ok", topic="label yaw", what=what, mend=mend)
 
 
-def _share_of(some: Iterable[str], names: Sequence[str]) -> str:
-    number = len(list(some))
+def _share_of(having: Iterable[str], names: Sequence[str]) -> str:
+    number = len(list(having))
     return f"all {counted(len(names), 'sequence')}" if number == len(names) else f"{number} of {len(names)} sequences"
 
 
@@ -267,13 +271,13 @@ def condition_findings(drives: Iterable[Drive], conditions: Mapping[str, Mapping
         drives: The drives, with times and poses where they are known.
         conditions: Of each drive by its name.
     """
-    said: dict[str, list[str]] = {"time": [], "road": []}
+    contradictions_by_kind: dict[str, list[str]] = {"time": [], "road": []}
     for drive in drives:
         times = None if drive.times_ns is None else np.asarray(drive.times_ns)
         middle = None if times is None or not len(times) else int(np.median(times))
         for kind, what in contradictions(conditions.get(drive.name, {}), middle, _mean_speed(drive)):
-            said[kind].append(f"{drive.name}: {what}")
-    for kind, lines in said.items():
+            contradictions_by_kind[kind].append(f"{drive.name}: {what}")
+    for kind, lines in contradictions_by_kind.items():
         if lines:
             shown = "; ".join(lines[:5]) + (f"; and {len(lines) - 5} more" if len(lines) > 5 else "")
             mend = (
@@ -287,6 +291,6 @@ def _mean_speed(drive: Drive) -> float | None:
     if drive.times_ns is None or drive.world_T_frame is None or len(drive.times_ns) < 2:
         return None
     lasts_s = float(drive.times_ns[-1] - drive.times_ns[0]) * 1e-9
-    places = np.asarray(drive.world_T_frame)[:, :3, 3]
-    way_m = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    positions_m = np.asarray(drive.world_T_frame)[:, :3, 3]
+    way_m = float(np.linalg.norm(np.diff(positions_m, axis=0), axis=1).sum())
     return way_m / lasts_s if lasts_s >= 5.0 and np.isfinite(way_m) else None

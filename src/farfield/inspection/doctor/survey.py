@@ -17,14 +17,14 @@ from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 Severity = Literal["ok", "warn", "fail"]
 
 
-def counted(number: int, thing: str) -> str:
+def counted(number: int, noun: str) -> str:
     """Write a number with its noun.
 
     >>> counted(1, "frame"), counted(3, "box")
     ('1 frame', '3 boxes')
     """
-    plural = f"{thing}es" if thing.endswith("x") else f"{thing}s"
-    return f"{number} {thing if number == 1 else plural}"
+    plural = f"{noun}es" if noun.endswith("x") else f"{noun}s"
+    return f"{number} {noun if number == 1 else plural}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,9 +145,9 @@ class SurveyBlock:
 
     def extend(self, others: "SurveyBlock") -> None:
         """Append what further frames hold."""
-        for mine, theirs in ((self.sensors, others.sensors), (self.images, others.images)):
-            for name, count in theirs.items():
-                mine[name] = mine.get(name, 0) + count
+        for own, other in ((self.sensors, others.sensors), (self.images, others.images)):
+            for name, count in other.items():
+                own[name] = own.get(name, 0) + count
         for name, count in others.raw_labels.items():
             self.raw_labels[name] = self.raw_labels.get(name, 0) + count
         self.cameras |= others.cameras
@@ -194,20 +194,20 @@ class _BlockSurvey:
     memory_bytes = 800_000_000
 
     def __call__(self, unit: Unit) -> UnitResult:
-        found = SurveyBlock()
+        block = SurveyBlock()
         for index in unit.parameters:
             try:
                 frame = self.dataset[index]
             except (FarfieldError, OSError, ValueError) as error:
-                found.damaged.append(str(error))
-                found.times_ns.append(None)
-                found.sensor_times_ns.append({})
+                block.damaged.append(str(error))
+                block.times_ns.append(None)
+                block.sensor_times_ns.append({})
                 continue
-            _count_sensors(found, frame)
-            boxes = _boxes(found, frame)
+            _count_sensors(block, frame)
+            boxes = _boxes(block, frame)
             if index in self.chosen:
-                found.samples.append(SurveyFrame(key=frame.key, clouds=_clouds(found, frame), boxes=boxes))
-        return UnitResult(value=found)
+                block.samples.append(SurveyFrame(key=frame.key, clouds=_clouds(block, frame), boxes=boxes))
+        return UnitResult(value=block)
 
 
 def survey(dataset: Dataset, *, max_clouds: int = 20, bulk: JobOptions = HERE) -> Survey:
@@ -218,49 +218,49 @@ def survey(dataset: Dataset, *, max_clouds: int = 20, bulk: JobOptions = HERE) -
         max_clouds: Number of frames whose clouds are read; 0 reads all.
         bulk: Who reads.
     """
-    found, count = Survey(dataset=dataset), len(dataset)
+    result, count = Survey(dataset=dataset), len(dataset)
     spread = np.linspace(0, count - 1, min(count, max_clouds or count))
     chosen = frozenset(spread.round().astype(int).tolist())
-    for done in values(_BlockSurvey(dataset, chosen), blocks(count, _BLOCK), bulk):
-        found.extend(done.value)
-    return found
+    for block in values(_BlockSurvey(dataset, chosen), blocks(count, _BLOCK), bulk):
+        result.extend(block.value)
+    return result
 
 
-def _count_sensors(found: SurveyBlock, frame: Frame) -> None:
+def _count_sensors(block: SurveyBlock, frame: Frame) -> None:
     for name in frame.clouds:
-        found.sensors[name] = found.sensors.get(name, 0) + 1
+        block.sensors[name] = block.sensors.get(name, 0) + 1
     for name in frame.images:
-        found.images[name] = found.images.get(name, 0) + 1
-    found.cameras |= set(frame.cameras)
-    found.times_ns.append(frame.time_ns)
-    known = {name: sensor.time_ns for name, sensor in frame.sensors.items() if sensor.time_ns is not None}
-    found.sensor_times_ns.append(known)
+        block.images[name] = block.images.get(name, 0) + 1
+    block.cameras |= set(frame.cameras)
+    block.times_ns.append(frame.time_ns)
+    times_by_sensor = {name: sensor.time_ns for name, sensor in frame.sensors.items() if sensor.time_ns is not None}
+    block.sensor_times_ns.append(times_by_sensor)
     times = [frame.sensors[name].time_ns for name in ("gaussian", "uniform") if name in frame.sensors]
     if len(times) == 2 and times[0] is not None and times[1] is not None:
-        found.pair_dt_ms.append((times[1] - times[0]) / 1e6)
+        block.pair_dt_ms.append((times[1] - times[0]) / 1e6)
 
 
-def _boxes(found: SurveyBlock, frame: Frame) -> Boxes | None:
+def _boxes(block: SurveyBlock, frame: Frame) -> Boxes | None:
     try:
         annotation = frame.annotation
         if annotation is None:
-            found.unlabelled += 1
+            block.unlabelled += 1
             return None
         boxes = annotation.boxes
         for name in annotation.original_label or ():
-            found.raw_labels[str(name)] = found.raw_labels.get(str(name), 0) + 1
+            block.raw_labels[str(name)] = block.raw_labels.get(str(name), 0) + 1
     except (FarfieldError, OSError, ValueError) as error:
-        found.damaged.append(str(error))
+        block.damaged.append(str(error))
         return None
-    found.boxes.append(boxes)
+    block.boxes.append(boxes)
     return boxes
 
 
-def _clouds(found: SurveyBlock, frame: Frame) -> dict[str, Cloud]:
+def _clouds(block: SurveyBlock, frame: Frame) -> dict[str, Cloud]:
     clouds: dict[str, Cloud] = {}
     for name in frame.clouds:
         try:
             clouds[name] = frame.clouds[name]
         except (FarfieldError, OSError, ValueError) as error:
-            found.damaged.append(str(error))
+            block.damaged.append(str(error))
     return clouds

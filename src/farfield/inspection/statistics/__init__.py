@@ -57,9 +57,9 @@ class CloudTally:
         """
         x, y, z = points_m.astype(np.float64).T
         range_m = np.sqrt(x * x + y * y + z * z)
-        there = range_m > 0
-        range_m = range_m[there]
-        elevation_deg = np.degrees(np.arcsin(np.clip(z[there] / range_m, -1.0, 1.0)))
+        returned = range_m > 0
+        range_m = range_m[returned]
+        elevation_deg = np.degrees(np.arcsin(np.clip(z[returned] / range_m, -1.0, 1.0)))
         self.frames += 1
         self.points += len(range_m)
         if shots:
@@ -158,8 +158,8 @@ class Statistics:
     @staticmethod
     def _excess(frame: Frame, power_db: np.ndarray, floor_db: float) -> np.ndarray | None:
         """Radar excess at each box, where the frame says where its radar stands."""
-        known = [frame.sensors[name] for name in (*frame.radar, "radar") if name in frame.sensors]
-        pose = next((one.frame_T_sensor for one in known if one.frame_T_sensor is not None), None)
+        radars = [frame.sensors[name] for name in (*frame.radar, "radar") if name in frame.sensors]
+        pose = next((one.frame_T_sensor for one in radars if one.frame_T_sensor is not None), None)
         if pose is None or frame.boxes is None:
             return None
         return box_excess(power_db, transform_points(invert(pose), frame.boxes.centre_m), floor_db)
@@ -186,8 +186,8 @@ class Statistics:
     @property
     def simulated(self) -> bool | None:
         """Whether the frames call themselves simulated; None where they say nothing or disagree."""
-        words = set(self.marked_simulated)
-        return {frozenset({"true"}): True, frozenset({"false"}): False}.get(frozenset(words))
+        marks = set(self.marked_simulated)
+        return {frozenset({"true"}): True, frozenset({"false"}): False}.get(frozenset(marks))
 
     @property
     def missing(self) -> list[str]:
@@ -230,13 +230,13 @@ class Statistics:
 
     def arrays(self) -> dict[str, dict[str, np.ndarray]]:
         """Arrays that figures draw: ``range_m`` and ``count`` of every vehicle box by cloud, and the radar's."""
-        mine = self.objects.vehicles(self.vehicle_labels)
-        found = {
-            f"points/{name}": {"range_m": self.objects.range_m[mine], "count": counts[mine]}
+        vehicles = self.objects.vehicles(self.vehicle_labels)
+        arrays = {
+            f"points/{name}": {"range_m": self.objects.range_m[vehicles], "count": counts[vehicles]}
             for name, counts in self.objects.counts.items()
             if name in self.clouds
         }
-        return found | ({"radar": self.radar.arrays()} if self.radar.frames else {})
+        return arrays | ({"radar": self.radar.arrays()} if self.radar.frames else {})
 
 
 def gather(

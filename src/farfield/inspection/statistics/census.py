@@ -68,14 +68,14 @@ class Census:
 
     def names(self, kind: str) -> list[str]:
         """What a column over objects holds: most frequent first, ranges and degrees of visibility in their order."""
-        found = Counter(self.of_objects(kind).tolist())
+        counts = Counter(self.of_objects(kind).tolist())
         if kind == "range":
-            places = [place for place, name in enumerate(range_names()) if name in found]
-            return range_names()[places[0] : places[-1] + 1] if places else []  # an empty bin keeps its place
+            filled = [index for index, name in enumerate(range_names()) if name in counts]
+            return range_names()[filled[0] : filled[-1] + 1] if filled else []  # an empty bin keeps its place
         if kind == "visibility":
-            known = [*_KRADAR_SIGHT.values(), *_KITTI_SIGHT, *_POINTS]
-            return sorted(found, key=lambda name: (name == UNKNOWN, known.index(name) if name in known else 0))
-        return [name for name, _ in found.most_common()]
+            order = [*_KRADAR_SIGHT.values(), *_KITTI_SIGHT, *_POINTS]
+            return sorted(counts, key=lambda name: (name == UNKNOWN, order.index(name) if name in order else 0))
+        return [name for name, _ in counts.most_common()]
 
     def table(self, rows: str, columns: str) -> dict[str, dict[str, int]]:
         """Objects by two columns, such as ``name`` and ``weather``; combinations that do not occur are 0."""
@@ -89,13 +89,15 @@ class Census:
 
     def sequences(self) -> list[dict[str, Any]]:
         """One row a sequence, in the order of the data set: frames, conditions, objects (K-Radar's Table 5)."""
-        found = []
+        rows = []
         for name in dict.fromkeys(self.sequence.tolist()):
-            mine = self.sequence == name
-            said = {kind: ", ".join(dict.fromkeys(self.conditions[kind][mine].tolist())) for kind in CONDITIONS}
-            objects = int(np.maximum(self.objects[mine], 0).sum())
-            found.append({"sequence": name, "frames": int(mine.sum()), **said, "objects": objects})
-        return found
+            in_sequence = self.sequence == name
+            conditions = {
+                kind: ", ".join(dict.fromkeys(self.conditions[kind][in_sequence].tolist())) for kind in CONDITIONS
+            }
+            objects = int(np.maximum(self.objects[in_sequence], 0).sum())
+            rows.append({"sequence": name, "frames": int(in_sequence.sum()), **conditions, "objects": objects})
+        return rows
 
     def tracks(self) -> dict[str, int]:
         """Number of tracks of each class; nothing where the data set has none."""
@@ -246,9 +248,9 @@ class _AnnotationReading:
             frame = self.dataset[index]
             boxes, conditions = frame.boxes, dict(frame.conditions)
             if boxes is not None:
-                called, seen = class_names(frame, boxes), visibility(frame, boxes)
+                called, sight = class_names(frame, boxes), visibility(frame, boxes)
                 rows.names += called
-                rows.sight += seen
+                rows.sight += sight
         except (FarfieldError, OSError, ValueError) as error:
             rows.damaged.append(str(error))
             boxes = None
@@ -259,9 +261,9 @@ class _AnnotationReading:
 
 def _census_of_frames(dataset: Dataset, bulk: JobOptions) -> Census:
     rows = _CensusRows()
-    for done in values(_AnnotationReading(dataset), blocks(len(dataset), _BLOCK), bulk):
-        for name, mine in vars(rows).items():
-            mine += getattr(done.value, name)
+    for block in values(_AnnotationReading(dataset), blocks(len(dataset), _BLOCK), bulk):
+        for name, column in vars(rows).items():
+            column += getattr(block.value, name)
     said, parts, names, sight, objects = rows.said, rows.parts, rows.names, rows.sight, rows.objects
     counts = np.array(objects, dtype=np.int64)
     tracked = bool(parts) and all(part.track_id is not None for part in parts if len(part))
@@ -297,8 +299,8 @@ def visibility(frame: Frame, boxes: Boxes) -> list[str]:
     if hidden is not None:
         return [_KITTI_SIGHT[int(level)] if 0 <= int(level) < 3 else UNKNOWN for level in hidden]
     if boxes.point_count is not None:
-        place = np.digitize(boxes.point_count, (0, 1, 10)) - 1
-        return [_POINTS[int(level)] for level in place]
+        level_index = np.digitize(boxes.point_count, (0, 1, 10)) - 1
+        return [_POINTS[int(level)] for level in level_index]
     return [UNKNOWN] * len(boxes)
 
 
@@ -311,12 +313,12 @@ def dataset_notes(dataset: Dataset) -> tuple[str, ...]:
     if not isinstance(reader, KRadar):
         return ()
     versions = Counter(reader.entries[index].version or "none" for index in dataset.origins)
-    said: Counter[str] = Counter()
+    sources: Counter[str] = Counter()
     for sequence in dict.fromkeys(dataset.sequences):
         try:
-            said[reader.of_sequence(sequence).conditions_from or "nowhere"] += 1
+            sources[reader.of_sequence(sequence).conditions_from or "nowhere"] += 1
         except FarfieldError:
-            said["a damaged file"] += 1
+            sources["a damaged file"] += 1
     shown = ", ".join(f"{version} in {count:,} frames" for version, count in versions.most_common())
-    places = ", ".join(f"{place} in {count} sequences" for place, count in said.most_common())
-    return f"annotations: {shown}", f"conditions come from: {places}"
+    source_text = ", ".join(f"{source} in {count} sequences" for source, count in sources.most_common())
+    return f"annotations: {shown}", f"conditions come from: {source_text}"

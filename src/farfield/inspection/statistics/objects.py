@@ -55,8 +55,8 @@ class ObjectRows:
         self.most_in_a_frame = max(self.most_in_a_frame, other.most_in_a_frame)
         self._parts += other._parts
         for name, parts in other._counts.items():
-            mine = self._counts.setdefault(name, [])
-            mine += [(start + self._total, counts) for start, counts in parts]
+            own = self._counts.setdefault(name, [])
+            own += [(start + self._total, counts) for start, counts in parts]
         self._total += other._total
 
     def __len__(self) -> int:
@@ -90,16 +90,16 @@ class ObjectRows:
     @property
     def counts(self) -> dict[str, Int[np.ndarray, " n"]]:
         """Points inside each box by cloud; -1 where the frame had no such cloud."""
-        found = {}
+        columns = {}
         for name, parts in self._counts.items():
             column = np.full(self._total, -1, dtype=np.int64)
             for start, counts in parts:
                 column[start : start + len(counts)] = counts
-            found[name] = column
-        return found
+            columns[name] = column
+        return columns
 
-    def _column(self, place: int, empty: np.ndarray) -> np.ndarray:
-        return np.concatenate([part[place] for part in self._parts]) if self._parts else empty
+    def _column(self, number: int, empty: np.ndarray) -> np.ndarray:
+        return np.concatenate([part[number] for part in self._parts]) if self._parts else empty
 
     def vehicles(self, labels: tuple[str, ...]) -> Bool[np.ndarray, " n"]:
         """Which boxes are of the classes that count as vehicles."""
@@ -110,16 +110,16 @@ class ObjectRows:
         label, size_m = self.label.astype(np.str_), self.size_m
         names, number = np.unique(label, return_counts=True)
         classes = {}
-        for place in np.argsort(-number, kind="stable"):
-            mine = size_m[label == names[place]]
-            mean, std = mine.mean(axis=0), mine.std(axis=0)
+        for row in np.argsort(-number, kind="stable"):
+            class_size_m = size_m[label == names[row]]
+            mean, std = class_size_m.mean(axis=0), class_size_m.std(axis=0)
             sizes = {
                 axis: {"mean": float(mean[k]), "std": float(std[k])}
                 for k, axis in enumerate(("length_m", "width_m", "height_m"))
             }
-            classes[str(names[place])] = {
-                "count": int(number[place]),
-                "share": float(number[place] / len(label)),
+            classes[str(names[row])] = {
+                "count": int(number[row]),
+                "share": float(number[row] / len(label)),
                 **sizes,
             }
         distance = np.histogram(self.range_m[self.vehicles(vehicle_labels)], VEHICLE_EDGES_M)[0]
@@ -135,19 +135,19 @@ class ObjectRows:
     def points_summary(self, cloud: str, vehicle_labels: tuple[str, ...]) -> dict[str, Any]:
         """Points in vehicle boxes over distance, and by weather, for one cloud."""
         counts = self.counts.get(cloud, np.full(len(self), -1))
-        mine = self.vehicles(vehicle_labels) & (counts >= 0)
-        range_m, count = self.range_m[mine], counts[mine]
+        chosen = self.vehicles(vehicle_labels) & (counts >= 0)
+        range_m, count = self.range_m[chosen], counts[chosen]
         return {
             "points_in_vehicles": points_by_distance(range_m, count),
-            "survival": survival(range_m, count, self.weather[mine]),
+            "survival": survival(range_m, count, self.weather[chosen]),
         }
 
     def radar_summary(self, vehicle_labels: tuple[str, ...]) -> dict[str, Any] | None:
         """Radar excess at vehicles over distance, by weather; None without any."""
-        mine = self.vehicles(vehicle_labels) & np.isfinite(self.radar_excess)
-        if not mine.any():
+        chosen = self.vehicles(vehicle_labels) & np.isfinite(self.radar_excess)
+        if not chosen.any():
             return None
-        return radar_survival(self.range_m[mine], self.radar_excess[mine], self.weather[mine])
+        return radar_survival(self.range_m[chosen], self.radar_excess[chosen], self.weather[chosen])
 
     def pattern_ratio(self, vehicle_labels: tuple[str, ...]) -> float | None:
         """Points of the Gaussian over those of the uniform pattern in vehicles beyond 50 m; None without both."""
@@ -174,11 +174,11 @@ def points_by_distance(range_m: Float[np.ndarray, " n"], count: Int[np.ndarray, 
         ``edges_m``, ``boxes``, ``median`` (None in empty bins), ``share_empty``, ``slope``, ``level`` (of the line at
         50 m) and ``fitted_m`` (from, to), the last three None where fewer than three bins qualify.
     """
-    place = np.digitize(range_m, DISTANCE_EDGES_M) - 1
+    bin_index = np.digitize(range_m, DISTANCE_EDGES_M) - 1
     bins = len(DISTANCE_EDGES_M) - 1
-    boxes = np.array([int((place == k).sum()) for k in range(bins)])
-    median = [float(np.median(count[place == k])) if boxes[k] else None for k in range(bins)]
-    empty = [float((count[place == k] == 0).mean()) if boxes[k] else None for k in range(bins)]
+    boxes = np.array([int((bin_index == k).sum()) for k in range(bins)])
+    median = [float(np.median(count[bin_index == k])) if boxes[k] else None for k in range(bins)]
+    empty = [float((count[bin_index == k] == 0).mean()) if boxes[k] else None for k in range(bins)]
     centre_m = np.sqrt(DISTANCE_EDGES_M[:-1] * DISTANCE_EDGES_M[1:])
     level = np.array([0.0 if value is None else value for value in median])
     used = (DISTANCE_EDGES_M[:-1] >= FIT_FROM_M - 1e-6) & (boxes >= FIT_LEAST_BOXES) & (level >= FIT_LEAST_POINTS)
@@ -212,14 +212,14 @@ def survival(
         either mean is missing or that of normal weather is 0. ``overall`` is the mean ratio over the bins that have
         one, each weighted by this weather's boxes.
     """
-    place = np.digitize(range_m, SURVIVAL_EDGES_M) - 1
+    bin_index = np.digitize(range_m, SURVIVAL_EDGES_M) - 1
     bins = range(len(SURVIVAL_EDGES_M) - 1)
     table: dict[str, Any] = {}
-    for name in sorted(set(weather.tolist()), key=lambda each: (each != NORMAL, each)):
-        members = [count[(weather == name) & (place == k)] for k in bins]
+    for name in sorted(set(weather.tolist()), key=lambda values: (values != NORMAL, values)):
+        members = [count[(weather == name) & (bin_index == k)] for k in bins]
         table[str(name)] = {
-            "boxes": [len(each) for each in members],
-            "mean_points": [float(each.mean()) if len(each) else None for each in members],
+            "boxes": [len(values) for values in members],
+            "mean_points": [float(values.mean()) if len(values) else None for values in members],
         }
     clear = table.get(NORMAL, {}).get("mean_points", [None for _ in bins])
     for row in table.values():
@@ -227,8 +227,8 @@ def survival(
             mean / base if mean is not None and base else None
             for mean, base in zip(row["mean_points"], clear, strict=True)
         ]
-        known = [(ratio, n) for ratio, n in zip(row["ratio"], row["boxes"], strict=True) if ratio is not None]
-        row["overall"] = sum(r * n for r, n in known) / sum(n for _, n in known) if known else None
+        ratios = [(ratio, n) for ratio, n in zip(row["ratio"], row["boxes"], strict=True) if ratio is not None]
+        row["overall"] = sum(r * n for r, n in ratios) / sum(n for _, n in ratios) if ratios else None
     return {"edges_m": SURVIVAL_EDGES_M.tolist(), "weather": table}
 
 
@@ -246,18 +246,18 @@ def radar_survival(
         ``edges_m``, and for each weather ``boxes``, ``median_db`` and ``change_db`` by bin, None where nothing rises
         above the floor; ``overall`` is the mean change, each bin weighted by this weather's boxes.
     """
-    place = np.digitize(range_m, SURVIVAL_EDGES_M) - 1
+    bin_index = np.digitize(range_m, SURVIVAL_EDGES_M) - 1
     bins = range(len(SURVIVAL_EDGES_M) - 1)
     table: dict[str, Any] = {}
-    for name in sorted(set(weather.tolist()), key=lambda each: (each != NORMAL, each)):
-        members = [excess[(weather == name) & (place == k)] for k in bins]
-        medians = [float(np.median(each)) if len(each) else 0.0 for each in members]
-        levels = [10.0 * float(np.log10(each)) if each > 0 else None for each in medians]
-        table[str(name)] = {"boxes": [len(each) for each in members], "median_db": levels}
+    for name in sorted(set(weather.tolist()), key=lambda values: (values != NORMAL, values)):
+        members = [excess[(weather == name) & (bin_index == k)] for k in bins]
+        medians = [float(np.median(values)) if len(values) else 0.0 for values in members]
+        levels = [10.0 * float(np.log10(values)) if values > 0 else None for values in medians]
+        table[str(name)] = {"boxes": [len(values) for values in members], "median_db": levels}
     clear = table.get(NORMAL, {}).get("median_db", [None for _ in bins])
     for row in table.values():
         pairs = zip(row["median_db"], clear, strict=True)
         row["change_db"] = [None if a is None or b is None else a - b for a, b in pairs]
-        known = [(each, n) for each, n in zip(row["change_db"], row["boxes"], strict=True) if each is not None]
-        row["overall"] = sum(each * n for each, n in known) / sum(n for _, n in known) if known else None
+        changes = [(values, n) for values, n in zip(row["change_db"], row["boxes"], strict=True) if values is not None]
+        row["overall"] = sum(values * n for values, n in changes) / sum(n for _, n in changes) if changes else None
     return {"edges_m": SURVIVAL_EDGES_M.tolist(), "weather": table}

@@ -73,7 +73,7 @@ def map_statistics(
     rows = np.flatnonzero(_between(range_m, OBJECTS_M))
     peak_row, _ = np.unravel_index(np.argmax(power_db[rows]), power_db[rows].shape)
     row_db = power_db[rows[peak_row]] - floor_db
-    found: dict[str, Any] = {
+    statistics: dict[str, Any] = {
         "floor_db": floor_db,
         "floor_std_db": spread_db,
         "peak_db": float(row_db.max()),
@@ -82,13 +82,13 @@ def map_statistics(
     }
     for name, zone_m in ZONES_M.items():
         cells = power_db[_between(range_m, zone_m)]
-        found[name] = float(np.median(cells) - floor_db) if cells.size else None
-    found["raised_share"] = {}
+        statistics[name] = float(np.median(cells) - floor_db) if cells.size else None
+    statistics["raised_share"] = {}
     for low, high in RAISED_M:
         cells = power_db[(range_m >= low) & (range_m < high)]
         share = float((cells > floor_db + RAISED_DB).mean()) if cells.size else None
-        found["raised_share"][f"{low}-{high}"] = share
-    return found
+        statistics["raised_share"][f"{low}-{high}"] = share
+    return statistics
 
 
 def box_excess(
@@ -109,8 +109,8 @@ def box_excess(
     range_m = np.linalg.norm(centre_m, axis=1)
     azimuth_deg = np.degrees(np.arctan2(centre_m[:, 1], centre_m[:, 0]))
     excess = np.full(len(centre_m), np.nan)
-    seen = _between(range_m, FLOOR_M) & (np.abs(azimuth_deg) <= axes.azimuth_deg[-1])
-    for index in np.flatnonzero(seen):
+    inside = _between(range_m, FLOOR_M) & (np.abs(azimuth_deg) <= axes.azimuth_deg[-1])
+    for index in np.flatnonzero(inside):
         row = round(float(range_m[index]) / axes.range_step_m)
         column = round(float(azimuth_deg[index] - axes.azimuth_deg[0]))
         patch = power_db[row - 3 : row + 4, max(column - 2, 0) : column + 3]
@@ -151,15 +151,15 @@ class RadarTally:
         power_db = power_map_db(radar)
         if power_db is None:
             return None
-        found = map_statistics(power_db)
-        above_db = np.median(power_db, axis=1) - found["floor_db"]
+        statistics = map_statistics(power_db)
+        above_db = np.median(power_db, axis=1) - statistics["floor_db"]
         if self.profile_db is None:
             self.first_map_db, self.profile_db = power_db.astype(np.float32), np.zeros(len(above_db))
         self.profile_db += above_db
-        self.per_frame.append(found)
+        self.per_frame.append(statistics)
         if "tesseract" in radar and not self.cell_ratios:  # one frame tells, and a tensor is 260 MB
             self.cell_ratios.append(exponential_ratio(radar["tesseract"]))
-        return power_db, found["floor_db"]
+        return power_db, statistics["floor_db"]
 
     def merge(self, other: "RadarTally") -> None:
         """Take in other frames."""
@@ -176,9 +176,9 @@ class RadarTally:
             return None
         first = self.per_frame[0]
         middle = {
-            name: {key: _median([each[name][key] for each in self.per_frame]) for key in value}
+            name: {key: _median([frame[name][key] for frame in self.per_frame]) for key in value}
             if isinstance(value, dict)
-            else _median([each[name] for each in self.per_frame])
+            else _median([frame[name] for frame in self.per_frame])
             for name, value in first.items()
         }
         return {"frames": self.frames, **middle, "cell_median_to_mean": _median(self.cell_ratios)}
@@ -196,5 +196,5 @@ class RadarTally:
 
 
 def _median(values: list[Any]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
+    finite = [value for value in values if value is not None]
+    return float(np.median(finite)) if finite else None
