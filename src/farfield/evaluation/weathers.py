@@ -173,12 +173,12 @@ def weather_table(results: Mapping[str, Mapping[str, Any]], weathers: Sequence[s
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
     rows.insert(1, "  ".join("-" * width for width in widths))
-    about = [_folded(f"of: {subject}") for subject in map(subject_of, results.values()) if subject is not None]
+    about = [
+        textwrap.fill(f"of: {subject}", 120, subsequent_indent="  ", break_on_hyphens=False)
+        for subject in map(subject_of, results.values())
+        if subject is not None
+    ]
     return "\n".join([*rows, "", "[low, high]: 95% bootstrap interval over drives", *about])
-
-
-def _folded(text: str) -> str:
-    return textwrap.fill(text, 120, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def _cell(result: Mapping[str, Any], weather: str) -> str:

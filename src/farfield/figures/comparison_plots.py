@@ -93,7 +93,9 @@ def points_in_vehicles(sides: Sequence[ComparedDataset]) -> "Figure | None":
             _draw_boxes(axes, boxes, _MAPS[SIDES.index(colour)])
             fit = cloud["points_in_vehicles"]
             _draw_medians(axes, fit, INK, "-")
-            slope = "too few boxes for a line" if fit["slope"] is None else _fit_words(fit)
+            slope = "too few boxes for a line"
+            if fit["slope"] is not None:
+                slope = f"slope {fit['slope']:.2f}, {fit['level']:.0f} at 50 m"
             axes.set_title(f"{side.title}, {name}\n{len(boxes['range_m']):,} boxes; {slope}")
             if overlaid:
                 _draw_medians(panels[len(drawn)], fit, colour, dash, label=f"{side.title}, {name}")
@@ -135,10 +137,6 @@ def _draw_boxes(axes: "Axes", boxes: Mapping[str, np.ndarray], colours: str) -> 
         cmap=ListedColormap(colormaps[colours](np.linspace(0.25, 0.95, 128))),
         linewidths=0.1,
     )
-
-
-def _fit_words(fit: Mapping[str, Any]) -> str:
-    return f"slope {fit['slope']:.2f}, {fit['level']:.0f} at 50 m"
 
 
 def _draw_medians(axes: "Axes", fit: Mapping[str, Any], colour: str, dash: Any, *, label: str = "") -> None:

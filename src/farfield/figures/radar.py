@@ -53,7 +53,9 @@ def radar_picture(look: RadarLook) -> "Figure":
         image = _draw_bird(bird, look)
         figure.colorbar(image, ax=bird, location="bottom", label="mean power, dB", shrink=0.9, aspect=30)
         dots = _draw_doppler(doppler, look)
-        figure.colorbar(dots, ax=doppler, location="bottom", label=_velocity_words(look), shrink=0.9, aspect=30)
+        measured = "as measured, wrapped" if look.velocity_m_s is None else "over ground"
+        velocity = f"radial velocity {measured}, m/s"
+        figure.colorbar(dots, ax=doppler, location="bottom", label=velocity, shrink=0.9, aspect=30)
         _draw_polar(figure, polar, look)
     return figure
 
@@ -63,10 +65,6 @@ def frame_words(look: RadarLook) -> str:
     conditions = ", ".join(look.conditions[kind].replace("_", " ") for kind in CONDITIONS if kind in look.conditions)
     parts = [f"sequence {look.key[0]}, frame {look.key[1]}", conditions, f"from {' and '.join(look.views.products)}"]
     return "; ".join(part for part in [*parts, "simulated" * look.simulated] if part)
-
-
-def _velocity_words(look: RadarLook) -> str:
-    return "radial velocity " + ("as measured, wrapped" if look.velocity_m_s is None else "over ground") + ", m/s"
 
 
 def power_levels(power_db: Float[np.ndarray, "_ _"]) -> tuple[float, float]:

@@ -380,7 +380,7 @@ def conditional_rows(
     for name, result in results.items():
         by_value = result.get("conditions", {}).get(kind, {})
         parts = [result, *(by_value.get(value) for value in values)]
-        cells = [_figure(part, label, measure, iou) for part in parts]
+        cells = [value_at(part, f"ap/{label}/{measure}/{iou:g}") for part in parts]
         if not any(label in (part or {}).get("ap", {}) for part in parts[:1]):
             raise ConfigError(f"{name}: expected figures of class {label!r}, got {', '.join(result.get('ap', {}))}")
         rows.append([name, *("-" if value is None else f"{100 * value:.1f}" for value in cells)])
@@ -392,7 +392,9 @@ def conditional_markdown(
 ) -> str:
     """The table as Markdown with its convention; arguments and errors as of :func:`conditional_rows`."""
     head, rows = conditional_rows(results, label=label, measure=measure, iou=iou, kind=kind)
-    return f"{_title(label, measure, iou)}\n\n{_markdown(head, rows)}\n\n{_convention(results)}\n"
+    return (
+        f"{_title(label, measure, iou)}\n\n{_markdown(head, rows)}\n\n{convention_text(next(iter(results.values())))}\n"
+    )
 
 
 def paper_table(results: Results, *, label: str = "vehicle", figures: Sequence[str] = (), by: str = "none") -> str:
@@ -446,11 +448,3 @@ def _check_conventions(results: Results) -> None:
         if differing:
             differences = "; ".join(f"{key} ({a} and {b})" for key, (a, b) in differing.items())
             raise ConfigError(f"{first} and {name} have different conventions, so they share no column: {differences}")
-
-
-def _convention(results: Results) -> str:
-    return convention_text(next(iter(results.values())))
-
-
-def _figure(part: Mapping[str, Any] | None, label: str, measure: str, iou: float) -> float | None:
-    return value_at(part, f"ap/{label}/{measure}/{iou:g}")

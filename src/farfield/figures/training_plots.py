@@ -111,8 +111,9 @@ def _draw_panel(axes: "Axes", rows: Sequence[Row], panel: CoursePanel, columns: 
             axes.plot(steps, values, lw=0.5, alpha=0.25, color=colour)
             steps, values = smoothed(steps, values)
         axes.plot(steps, values, lw=1.3, marker="." if len(values) < 12 else "", color=colour, ls=dash, label=label)
-    for first in _first_steps(rows):
-        axes.axvline(first, color=INK, lw=0.8, ls=(0, (1, 3)))
+    last_steps = {row.get("round", 1): row["step"] for row in rows}
+    for end in list(last_steps.values())[:-1]:  # of all rounds but the last
+        axes.axvline(end, color=INK, lw=0.8, ls=(0, (1, 3)))
     if panel.level is not None:
         axes.axhline(panel.level, color=MUTED, lw=0.8, ls=(0, (3, 3)))
     axes.set(title=panel.title, xlabel="step", xlim=(0, 1.02 * max(row["step"] for row in rows)))
@@ -131,12 +132,6 @@ def smoothed(steps: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     parts = [np.array_split(column, _MEANS) for column in (steps, values)]
     means = [np.array([part.mean() for part in column]) for column in parts]
     return means[0], means[1]
-
-
-def _first_steps(rows: Sequence[Row]) -> list[float | int]:
-    """Last steps of all rounds but the last."""
-    last = {row.get("round", 1): row["step"] for row in rows}
-    return list(last.values())[:-1]
 
 
 # The figures of an adaptation: scores before and after, and frames that changed.

@@ -57,10 +57,11 @@ class ComparisonLine:
 
 def table_lines(sides: Sequence[ComparedDataset]) -> list[ComparisonLine]:
     """The table of all statistics; lines that neither side has are left out."""
+    simulated_text = {True: "yes", False: "no", None: "not said"}
     lines = [
         *_line(sides, "data", "frames", "frames", digits=0),
         *_line(sides, "data", "sequences", "sequences", digits=0),
-        ComparisonLine("data", "simulated", tuple(_simulated_text(side.summary.get("simulated")) for side in sides)),
+        ComparisonLine("data", "simulated", tuple(simulated_text[side.summary.get("simulated")] for side in sides)),
         *_line(sides, "data", "boxes are", "box_protocol"),
     ]
     for cloud in _names(sides, "clouds"):
@@ -163,10 +164,6 @@ def _text(value: Any, digits: int) -> str:
     if value is None:
         return NOTHING
     return f"{value:,.{digits}f}" if isinstance(value, int | float) else str(value)
-
-
-def _simulated_text(simulated: bool | None) -> str:
-    return {True: "yes", False: "no", None: "not said"}[simulated]
 
 
 def sensor_pictures(sides: Sequence[ComparedDataset]) -> list[PageImage]:
@@ -379,12 +376,11 @@ def tables(census: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[st
             titled.append((_TITLES[key], heads, rows))
     heads = ["sequence", "frames", "weather", "road", "time", "boxes"]
     keys = ("sequence", "frames", "weather", "road", "time", "objects")
-    rows = [[dataset_plots.spoken(_count_text(row[key])) for key in keys] for row in census["table_5"]]
+    rows = [
+        [dataset_plots.spoken(f"{value:,}" if isinstance(value, int) else value) for value in map(row.get, keys)]
+        for row in census["table_5"]
+    ]
     return [*titled, ("Sequences", heads, rows)]
-
-
-def _count_text(value: str | int) -> str:
-    return f"{value:,}" if isinstance(value, int) else value
 
 
 def render_statistics(dataset: DatasetFigures, drawn: list[PageImage]) -> str:

@@ -6,10 +6,10 @@ again when an interrupted film is begun anew.
 
 import shutil
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -197,28 +197,14 @@ Panel = tuple[str, str]
 def panels_of(data: Dataset, drive: Drive) -> tuple[Panel, ...]:
     """What the frames of a drive have to show, the LiDAR that is shown large first; judged by its first frame."""
     frame = data[int(drive.indices[0])]
-    placed = [name for name in frame.clouds if _stands(frame, name)]
-    clouds = sorted(placed, key=partial(_order, frame))
-    held = {name for other in frame.clouds for name in _holds(frame, other)}
+    sensors = {name: frame.sensors.get(name) for name in frame.clouds}
+    in_frame = [name for name, sensor in sensors.items() if sensor is None or sensor.in_frame]
+    radars = {name for name, sensor in sensors.items() if sensor is not None and sensor.kind != "lidar"}
+    clouds = sorted(in_frame, key=radars.__contains__)  # LiDARs first
+    held = {name for sensor in sensors.values() if sensor is not None for name in sensor.holds}
     radar = [("radar", "power from above")] if any(name in frame.radar for name in PRODUCTS) else []
     shown = [("cloud", name) for name in clouds if name not in held]
     return (*shown[:1], *[("camera", name) for name in frame.images], *radar, *shown[1:])[: _MOST + 1]
-
-
-def _stands(frame: Frame, name: str) -> bool:
-    sensor = frame.sensors.get(name)
-    return sensor is None or sensor.in_frame
-
-
-def _holds(frame: Frame, name: str) -> tuple[str, ...]:
-    sensor = frame.sensors.get(name)
-    return () if sensor is None else tuple(sensor.holds)
-
-
-def _order(frame: Frame, name: str) -> bool:
-    """LiDARs before radars."""
-    sensor = frame.sensors.get(name)
-    return sensor is not None and sensor.kind != "lidar"
 
 
 def film_picture(
@@ -269,30 +255,15 @@ def headline(frame: Frame, drawn: Sequence[DrawnBoxes]) -> str:
 def _panel(
     frame: Frame, kind: str, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int], reach_m: float | int
 ) -> Image.Image:
-    draw: dict[str, Callable[[], Image.Image | None]] = {
-        "cloud": lambda: _cloud(frame, name, drawn, size, reach_m),
-        "camera": lambda: _camera(frame, name, drawn, size),
-        "radar": lambda: _radar(frame, drawn, size, reach_m),
-    }
-    return draw[kind]() or _nothing(size)
-
-
-def _nothing(size: tuple[int, int]) -> Image.Image:
-    panel = Image.new("RGB", size, GROUND)
-    ImageDraw.Draw(panel).text((size[0] / 2, size[1] / 2), "nothing at this moment", fill=WORDS, anchor="mm")
+    if kind == "cloud" and name in frame.clouds:
+        return cloud_panel(frame.cloud(name), drawn, PanelView(*size, reach_m))
+    if kind == "camera" and name in frame.images:
+        return camera_panel(np.asarray(frame.images[name]), frame.cameras.get(name), drawn, size)
+    panel = _radar(frame, drawn, size, reach_m) if kind == "radar" else None
+    if panel is None:
+        panel = Image.new("RGB", size, GROUND)
+        ImageDraw.Draw(panel).text((size[0] / 2, size[1] / 2), "nothing at this moment", fill=WORDS, anchor="mm")
     return panel
-
-
-def _cloud(
-    frame: Frame, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int], reach_m: float | int
-) -> Image.Image | None:
-    return cloud_panel(frame.cloud(name), drawn, PanelView(*size, reach_m)) if name in frame.clouds else None
-
-
-def _camera(frame: Frame, name: str, drawn: Sequence[DrawnBoxes], size: tuple[int, int]) -> Image.Image | None:
-    if name not in frame.images:
-        return None
-    return camera_panel(np.asarray(frame.images[name]), frame.cameras.get(name), drawn, size)
 
 
 def _radar(

@@ -105,7 +105,8 @@ def _draw(axes: "Axes", track: OdometryTrack) -> None:
     axes.plot(*xy_m.T, color=ANNOTATED, lw=1.6, label="track")
     way = way_m(poses)
     ticks = np.searchsorted(way, np.arange(100.0, way[-1], 100.0))
-    axes.plot(*xy_m[ticks].T, color=ANNOTATED, ls="", marker="|" if _is_wide(xy_m) else "_", markersize=9)
+    x_extent_m, y_extent_m = np.ptp(xy_m, axis=0)
+    axes.plot(*xy_m[ticks].T, color=ANNOTATED, ls="", marker="|" if x_extent_m >= y_extent_m else "_", markersize=9)
     axes.plot(*xy_m[:1].T, color=INK, ls="", marker="o", markersize=4, label="start")
     doubtful = track.table.lost | np.array([bool(name) for name in track.table.blind])
     if doubtful.any():
@@ -118,8 +119,3 @@ def _draw(axes: "Axes", track: OdometryTrack) -> None:
     axes.legend(loc="best")
     axes.set_xlabel("x from the first sweep, m")
     axes.set_ylabel("y, m")
-
-
-def _is_wide(xy_m: np.ndarray) -> bool:
-    extent = np.ptp(xy_m, axis=0)
-    return bool(extent[0] >= extent[1])

@@ -201,7 +201,7 @@ def render_adapted(page: AdaptedPage) -> str:
         ),
         origin=_origin(page.simulated),
         table=_table(page, before, after),
-        bins=_bins(page.edges_m),
+        bins=[*(f"{start:g} to {end:g} m" for start, end in pairwise(page.edges_m)), "all"],
         thresholds=[
             [
                 name.replace("_", " "),
@@ -233,10 +233,6 @@ def rates(boxes: Mapping[Key, Boxes], page: AdaptedPage) -> np.ndarray:
             for part, chosen in enumerate((sure, unsure & ~sure)):
                 np.add.at(counts[row, :, part], range_bin[chosen], 1)
     return counts / max(len(boxes), 1)
-
-
-def _bins(edges_m: Sequence[float]) -> list[str]:
-    return [*(f"{low:g} to {high:g} m" for low, high in pairwise(edges_m)), "all"]
 
 
 def _table(page: AdaptedPage, before: np.ndarray, after: np.ndarray) -> list[list[str]]:

@@ -98,14 +98,11 @@ def camera_views(data: Dataset, indices: Iterable[int], name: str) -> tuple[Came
         same = np.allclose(own.camera_T_lidar, camera.camera_T_lidar) and np.allclose(own.matrix, camera.matrix)
         if same and (own.width_px, own.height_px) == (camera.width_px, camera.height_px):
             pictures.append(picture)
-            edges.append(sweep_edges(data, index, camera=name, lidar=_lidar(frame.clouds))[0])
+            lidar = next((cloud for cloud in frame.clouds if not cloud.startswith("radar")), None)
+            edges.append(sweep_edges(data, index, camera=name, lidar=lidar)[0])
     if camera is None:
         raise DatasetError(f"{name}: expected frames with this picture and its calibration, found none")
     return camera, views_of(pictures, edges, camera, margin_px=_MARGIN_PX, most=_EDGES)
-
-
-def _lidar(clouds: Iterable[str]) -> str | None:
-    return next((name for name in clouds if not name.startswith("radar")), None)
 
 
 def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, RadarEvidence]:

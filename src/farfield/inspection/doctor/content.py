@@ -10,7 +10,7 @@ from jaxtyping import Float32
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.folder import MAPPING_NAME, Folder
 from farfield.errors import FarfieldError
-from farfield.frame import Boxes, Camera, Cloud
+from farfield.frame import Boxes, Cloud
 from farfield.inspection.doctor.conventions import count_points, ground_height_m
 from farfield.inspection.doctor.survey import Finding, Survey, counted
 from farfield.metrics.sanity import meant_by
@@ -293,7 +293,10 @@ def check_cameras_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Fin
     except (FarfieldError, OSError, ValueError):
         return  # the survey has reported it
     for name, camera in cameras.items():
-        down, inverse = _down(camera)
+        # Cosine between the image's downward axis and the lidar's, of the pose and of its inverse.
+        rotation = camera.camera_T_lidar[:3, :3]
+        down = float(-rotation[1, 2])
+        inverse = float(-rotation[2, 1])
         if down > _STANDING:
             continue
         what = f"camera {name} lies on its side or its head (cosine between its down and the ground's: {down:.2f})"
@@ -301,9 +304,3 @@ def check_cameras_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Fin
             what += "; it is upright if camera_T_lidar is inverted: the file holds lidar_T_camera"
         mend = "Give camera_T_lidar, which takes the lidar's points (z up) to the camera (x right, y down, z ahead)."
         yield Finding(severity="fail", topic="calibration", what=what, mend=mend)
-
-
-def _down(camera: Camera) -> tuple[float, float]:
-    """Cosine between the image's downward axis and the lidar's, of the pose and of its inverse."""
-    turn = camera.camera_T_lidar[:3, :3]
-    return float(-turn[1, 2]), float(-turn[2, 1])

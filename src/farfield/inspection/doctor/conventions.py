@@ -161,7 +161,7 @@ def convention_votes(counts: Int[np.ndarray, "m k"], readings: Sequence[BoxConve
 def _vote(name: str, base: Int[np.ndarray, " m"], other: Int[np.ndarray, " m"]) -> ConventionVotes:
     best = np.maximum(base, other)
     valid = best >= _MIN_POINTS
-    clear = _clearly_apart(base, other) & valid
+    clear = (np.abs(base - other) >= np.maximum(2.0, 0.2 * best)) & valid
     gain = ((other - base) / np.maximum(best, 1))[valid]
     return ConventionVotes(
         name,
@@ -169,10 +169,6 @@ def _vote(name: str, base: Int[np.ndarray, " m"], other: Int[np.ndarray, " m"]) 
         int((clear & (other < base)).sum()),
         float(gain.mean()) if len(gain) else 0.0,
     )
-
-
-def _clearly_apart(a: Int[np.ndarray, " m"], b: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
-    return np.abs(a - b) >= np.maximum(2.0, 0.2 * np.maximum(a, b))
 
 
 def misfit_share(counts: Int[np.ndarray, "m k"], size_m: Float[np.ndarray, "m 3"]) -> tuple[float, int]:

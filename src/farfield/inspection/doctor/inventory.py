@@ -242,22 +242,18 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
             total = sum(counts.values())
             mend = "Times must grow within a drive: look for doubled files, or for a clock that was set."
             text = f"{name}: {counted(total, 'stamp')} {fault}, of {sum(stats.count for stats in by.values())}"
-            yield Finding(severity="warn", topic="stamps", what=text, where=_named(counts), mend=mend)
-    breaks = {drive: stats.longest_gap_ns or 0 for drive, stats in by.items() if _breaks(stats)}
+            where = ", ".join(list(counts)[:3]) + (", ..." if len(counts) > 3 else "")
+            yield Finding(severity="warn", topic="stamps", what=text, where=where, mend=mend)
+    breaks = {
+        drive: stats.longest_gap_ns
+        for drive, stats in by.items()
+        if stats.longest_gap_ns and stats.period_ns and stats.longest_gap_ns > BREAK_PERIODS * stats.period_ns
+    }
     if breaks and name == FRAMES:
         drive = max(breaks, key=lambda key: breaks[key])
         text = f"a break of {breaks[drive] / 1e9:.1f} s within a drive; {counted(len(breaks), 'drive')} with one"
         mend = "What stands before and after belongs to two drives: sweeps and tracks across it are wrong."
         yield Finding(severity="warn", topic="stamps", what=text, where=drive, mend=mend)
-
-
-def _breaks(stats: StreamStats) -> bool:
-    return bool(stats.longest_gap_ns and stats.period_ns and stats.longest_gap_ns > BREAK_PERIODS * stats.period_ns)
-
-
-def _named(counts: Mapping[str, int]) -> str:
-    shown = ", ".join(list(counts)[:3])
-    return shown + (", ..." if len(counts) > 3 else "")
 
 
 def _stamp_offset(

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int, Shaped
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.label_table import LabelTable, read_label_table
+from farfield.datasets.kradar.label_table import read_label_table
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
 from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
@@ -196,15 +196,11 @@ def _census_of_kradar(dataset: Dataset, reader: KRadar, bulk: JobOptions) -> Cen
         name=table.name,
         range_m=table.range_m,
         size_m=table.size_m,
-        visibility=_kradar_visibility(table),
+        visibility=np.array([_KRADAR_SIGHT[flag] for flag in table.availability.tolist()], dtype=np.str_),
         track=table.track if table.tracked.all() else None,
         farfield_class=dict(zip(table.name.tolist(), label, strict=True)),
         damaged=table.damaged,
     )
-
-
-def _kradar_visibility(table: LabelTable) -> Shaped[np.ndarray, " n"]:
-    return np.array([_KRADAR_SIGHT[flag] for flag in table.availability.tolist()], dtype=np.str_)
 
 
 def _conditions_of(reader: KRadar, sequence: str) -> Mapping[str, str]:
