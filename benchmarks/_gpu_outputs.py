@@ -123,8 +123,8 @@ def _boxes(site: Site, name: str) -> Iterator[Row]:
         detector = detector_of(network_of(name), site.device, precision)
         maps = detector.network(batch_of(detector, cloud))
         head = detector.network.head
-        if hasattr(head, "boxes_there"):
-            (got,) = head.boxes_there(*head.found(maps), maps.frames)
+        if hasattr(head, "boxes_on_device"):
+            (got,) = head.boxes_on_device(*head.peak_boxes(maps), maps.frames)
         else:
             (got,) = boxes_on_device(maps, head.anchors, head.config)
         host = type(maps)(*[value.cpu() if torch.is_tensor(value) else value for value in maps])

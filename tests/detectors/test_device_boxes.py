@@ -167,7 +167,7 @@ def test_the_sparse_detector_gives_the_same_boxes(rng):
     maps = road(rng, network)
     expected = network.decode(maps)
     assert sum(map(len, expected)) > 20
-    for got, boxes in zip(network.head.boxes_there(*network.head.found(maps), 3), expected, strict=True):
+    for got, boxes in zip(network.head.boxes_on_device(*network.head.peak_boxes(maps), 3), expected, strict=True):
         assert_same(got, boxes)
 
 

@@ -1,4 +1,4 @@
-"""The checks of data sets find what is wrong, and say how to mend it."""
+"""The checks of data sets find what is wrong, and say how to fix it."""
 
 from collections.abc import Sequence
 from dataclasses import replace

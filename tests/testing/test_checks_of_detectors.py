@@ -1,4 +1,4 @@
-"""The checks of detectors find what is wrong, and say how to mend it."""
+"""The checks of detectors find what is wrong, and say how to fix it."""
 
 import itertools
 from functools import partial

@@ -1,4 +1,4 @@
-"""The checks of protocols find what is wrong, and say how to mend it."""
+"""The checks of protocols find what is wrong, and say how to fix it."""
 
 from dataclasses import dataclass
 from typing import Any

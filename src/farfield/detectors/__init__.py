@@ -1,7 +1,7 @@
 """Frames to scored boxes. One paper is one folder; what several share is named by what it is.
 
 ``DETECTORS`` names every detector. Everything that a writer of a detector needs is offered here; what needs torch is
-imported when it is asked for.
+imported on first use.
 """
 
 from importlib import import_module
@@ -71,7 +71,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for.
+    """Import a name on first use.
 
     Raises:
         MissingExtraError: If torch is not installed and the name needs it.

@@ -79,14 +79,14 @@ def figures() -> dict[str, Any]:
 
 def catalogue() -> list[CatalogueEntry]:
     """Every detector with what is recorded of it: ours, then those registered here and those of other packages."""
-    known = figures()["detectors"]
+    recorded = figures()["detectors"]
     shipped = _bundled_names()
     entries = []
     for name in DETECTORS:
         origin, broken = DETECTORS.origin(name), DETECTORS.broken(name)
-        record = known.get(name, {}) if origin == "farfield" else {}
+        record = recorded.get(name, {}) if origin == "farfield" else {}
         own = [record["weights"]] if record.get("weights") in shipped else []
-        own += [each for each in shipped if each.startswith(f"{name}-") and each not in own]
+        own += [weights for weights in shipped if weights.startswith(f"{name}-") and weights not in own]
         own = own if origin == "farfield" else []
         entries.append(
             CatalogueEntry(
@@ -110,7 +110,7 @@ def by_weather() -> list[WeatherScores]:
     """What the bundled weights for K-Radar's sensors reach in each weather; none where nothing was recorded."""
     recorded = figures().get("radar", {}).get("weights", {})
     shipped = _bundled_names()
-    return [WeatherScores(weights=name, **known) for name, known in recorded.items() if name in shipped]
+    return [WeatherScores(weights=name, **record) for name, record in recorded.items() if name in shipped]
 
 
 def _bundled_names() -> list[str]:

@@ -233,14 +233,14 @@ def _check(value: Any, path: str) -> None:
             _check(getattr(value, name), f"{path}.{name}" if path else name)
         low, high = getattr(value, "z_min_m", None), getattr(value, "z_max_m", None)
         if low is not None and high is not None and not high > low:
-            place = f"{path}.z_max_m" if path else "z_max_m"
-            raise ValueError(f"{place}: expected more than z_min_m ({low:g}), got {high:g}")
+            upper = f"{path}.z_max_m" if path else "z_max_m"
+            raise ValueError(f"{upper}: expected more than z_min_m ({low:g}), got {high:g}")
     elif isinstance(value, dict):
-        for name, each in value.items():
-            _check(each, f"{path}.{name}")
+        for name, item in value.items():
+            _check(item, f"{path}.{name}")
     elif isinstance(value, tuple | list):
-        for each in value:
-            _check(each, path)
+        for item in value:
+            _check(item, path)
     elif isinstance(value, int | float) and any(part.endswith("_m") for part in path.split(".")):
         _check_length(float(value), path)
 

@@ -1,4 +1,4 @@
-"""Where a network runs, in which number type, how numbers get there, and what to change where they do not fit."""
+"""Where a network runs and in which number type: the device, memory, precision, and Triton's kernels."""
 
 import importlib.util
 import inspect
@@ -110,10 +110,10 @@ def _taken(error: Exception) -> str:
     """How much of the GPU is taken and by whom, as far as it can be asked."""
     if not torch.cuda.is_available():
         return f"The memory of the GPU is not enough ({str(error).splitlines()[0]})."
-    free, whole = torch.cuda.mem_get_info()
-    mine = torch.cuda.memory_reserved()
-    others = max(whole - free - mine, 0)
-    gib = [f"{size / 2**30:.1f}" for size in (whole, mine, others)]
+    free, total = torch.cuda.mem_get_info()
+    own = torch.cuda.memory_reserved()
+    others = max(total - free - own, 0)
+    gib = [f"{size / 2**30:.1f}" for size in (total, own, others)]
     return (
         f"The memory of the GPU {torch.cuda.get_device_name()} is not enough: of {gib[0]} GiB this process holds "
         f"{gib[1]}, other programs hold {gib[2]}."
@@ -163,10 +163,10 @@ def chosen_precision(network: Any = None, flags: Mapping[str, bool] | None = Non
     if not flags.get("avx512") or not usable:
         return "fp32", "the processor has no bfloat16"
     work: Work = getattr(network, "work", "dense")
-    taken = kept_times()[work]
-    faster: Precision = "bf16" if taken["bf16"] < taken["fp32"] else "fp32"
+    times_ms = kept_times()[work]
+    faster: Precision = "bf16" if times_ms["bf16"] < times_ms["fp32"] else "fp32"
     what = {"dense": "convolutions", "rows": "sparse convolutions"}[work]
-    times = f"{taken['fp32']:.1f} ms in fp32 and {taken['bf16']:.1f} ms in bf16"
+    times = f"{times_ms['fp32']:.1f} ms in fp32 and {times_ms['bf16']:.1f} ms in bf16"
     return faster, f"the processor emulates bfloat16; {what} took {times}"
 
 
@@ -177,18 +177,21 @@ def kept_times() -> dict[Work, dict[Precision, float]]:
     The file is ``precision.json`` in ``farfield`` below ``XDG_CACHE_HOME`` or ``~/.cache``; where none can be written,
     each process measures anew.
     """
-    path, key = _cache_path(), f"{_processor()}, torch {torch.__version__}"
-    known: dict[str, Any] = {}
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - never raises
+    path = Path(home) / "farfield" / "precision.json"
+    machine = filter(None, [processor(), os.environ.get("ONEDNN_MAX_CPU_ISA", "")])
+    key = f"{', '.join(machine)}, torch {torch.__version__}"
+    cached: dict[str, Any] = {}
     try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-        times = known[key]
+        cached = json.loads(path.read_text(encoding="utf-8"))
+        times = cached[key]
         return {work: {name: float(times[work][name]) for name in ("fp32", "bf16")} for work in ("dense", "rows")}
     except (OSError, ValueError, KeyError, TypeError):
         pass
     measured = measured_times()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        others = known if isinstance(known, dict) else {}
+        others = cached if isinstance(cached, dict) else {}
         write_text(path, json.dumps({**others, key: measured}, indent=1) + "\n")
     except OSError:
         pass  # measured again by the next process
@@ -204,13 +207,13 @@ def measured_times() -> dict[Work, dict[Precision, float]]:
 
 
 def _least(runs: Mapping[Precision, Callable[[], Tensor]]) -> dict[Precision, float]:
-    taken: dict[Precision, list[float]] = {name: [] for name in runs}
+    times_ms: dict[Precision, list[float]] = {name: [] for name in runs}
     for _ in range(_ROUNDS + 1):
         for name, run in runs.items():
             began = time.process_time()  # other programs do not count
             run()
-            taken[name].append(1e3 * (time.process_time() - began))
-    return {name: round(min(times[1:]), 3) for name, times in taken.items()}
+            times_ms[name].append(1e3 * (time.process_time() - began))
+    return {name: round(min(times[1:]), 3) for name, times in times_ms.items()}
 
 
 class _Dense:
@@ -234,15 +237,6 @@ class _GatherMultiply:
     def __call__(self) -> Tensor:
         out = torch.zeros_like(self.features)
         return out.index_add_(0, self.places, self.features[self.places] @ self.kernel)
-
-
-def _cache_path() -> Path:
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - never raises
-    return Path(home) / "farfield" / "precision.json"
-
-
-def _processor() -> str:
-    return ", ".join(filter(None, [processor(), os.environ.get("ONEDNN_MAX_CPU_ISA", "")]))
 
 
 def default_precision(device: torch.device, network: Any = None) -> tuple[str, str]:

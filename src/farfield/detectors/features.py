@@ -110,9 +110,9 @@ class FeatureMap:
             return FeatureRows(values, frame, self._places_m(ix, iy))
         frames, channels, nx, ny = self.values.shape
         index = chosen_rows(frames * nx * ny, limit, generator)
-        every = torch.arange(frames * nx * ny) if index is None else index
-        every = every.to(self.values.device)
-        frame, ix, iy = every // (nx * ny), every // ny % nx, every % ny
+        cell = torch.arange(frames * nx * ny) if index is None else index
+        cell = cell.to(self.values.device)
+        frame, ix, iy = cell // (nx * ny), cell // ny % nx, cell % ny
         if index is None:
             values = self.values.permute(0, 2, 3, 1).reshape(-1, channels)
         else:

@@ -66,10 +66,10 @@ def cloud_tensor(cloud: Cloud, columns: Sequence[str]) -> Tensor:
     strength = [cloud.column(name) for name in _FINITE if name in cloud.columns]
     if all(map(_all_finite, (cloud.points_m, rows, *strength))):
         return torch.from_numpy(rows)
-    kept = np.isfinite(cloud.points_m).all(axis=1)
+    finite = np.isfinite(cloud.points_m).all(axis=1)
     for values in strength:
-        kept &= np.isfinite(values)
-    rows = rows[kept]
+        finite &= np.isfinite(values)
+    rows = rows[finite]
     return torch.from_numpy(np.where(np.isfinite(rows), rows, np.float32(0.0)))
 
 

@@ -1,4 +1,8 @@
-"""Batch normalisation of rows whose number varies: points, pillars, voxels. A frame may have one of them, or none."""
+"""Layers that several detectors share, and the folding of their batch normalisation for inference.
+
+Normalisation of rows whose number varies (points, pillars, voxels: a frame may have one of them, or none), transposed
+convolution as an ordinary one, folding, and the two-dimensional backbone of PointPillars and SECOND.
+"""
 
 import copy
 import math
@@ -58,24 +62,24 @@ class Upsampling(nn.Module):
 
     def __init__(self, c_in: int, c_out: int, stride: int, *, overlap: bool) -> None:
         super().__init__()
-        reach = 3 if overlap else 1
+        width = 3 if overlap else 1
         self.c_out, self.stride = c_out, stride
-        self.conv = nn.Conv2d(c_in, c_out * stride**2, reach, padding=reach // 2, bias=False)
-        bound = 1 / math.sqrt(c_out * (reach * stride) ** 2)  # as nn.ConvTranspose2d draws its weights
+        self.conv = nn.Conv2d(c_in, c_out * stride**2, width, padding=width // 2, bias=False)
+        bound = 1 / math.sqrt(c_out * (width * stride) ** 2)  # as nn.ConvTranspose2d draws its weights
         if not self.conv.weight.is_meta:
             nn.init.uniform_(self.conv.weight, -bound, bound)
 
     @classmethod
     def of(cls, layer: nn.ConvTranspose2d) -> "Upsampling":
         """The same function as a transposed convolution that :meth:`fits`."""
-        stride, reach = layer.stride[0], layer.kernel_size[0] // layer.stride[0]
-        made = cls(layer.in_channels, layer.out_channels, stride, overlap=reach == 3)
+        stride, width = layer.stride[0], layer.kernel_size[0] // layer.stride[0]
+        upsampling = cls(layer.in_channels, layer.out_channels, stride, overlap=width == 3)
         # input cell i reaches output cell stride * (i - padding) + k: kernel element k = stride * (reach - 1 - d) + row
-        parts = layer.weight.detach().unflatten(3, (reach, stride)).unflatten(2, (reach, stride)).flip(2, 4)
-        made.conv.weight = nn.Parameter(parts.permute(3, 5, 1, 0, 2, 4).flatten(0, 2).contiguous())
+        parts = layer.weight.detach().unflatten(3, (width, stride)).unflatten(2, (width, stride)).flip(2, 4)
+        upsampling.conv.weight = nn.Parameter(parts.permute(3, 5, 1, 0, 2, 4).flatten(0, 2).contiguous())
         if layer.bias is not None:
-            made.conv.bias = nn.Parameter(layer.bias.detach().repeat(stride**2))
-        return made.to(layer.weight.device)
+            upsampling.conv.bias = nn.Parameter(layer.bias.detach().repeat(stride**2))
+        return upsampling.to(layer.weight.device)
 
     @staticmethod
     def fits(layer: nn.Module) -> bool:

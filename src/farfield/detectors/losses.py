@@ -1,4 +1,7 @@
-"""The losses of SECOND and PointPillars (section 3.4 and equations 1 to 3 there), on sparse targets."""
+"""The losses of SECOND and PointPillars (section 3.4 and equations 1 to 3 there) on sparse targets, and normalisers.
+
+A normaliser sums over the processes of a training, so that several of them compute what one would with the whole batch.
+"""
 
 from typing import Any
 
@@ -34,13 +37,13 @@ def focal_loss(
     Returns:
         A scalar, not normalised.
     """
-    flat = logits.reshape(-1).float()
-    right = flat[positive]
+    logit = logits.reshape(-1).float()
+    right = logit[positive]
     as_positive = alpha * torch.sigmoid(-right) ** gamma * functional.softplus(-right)
     as_positive = as_positive if weight is None else as_positive * weight
-    uncounted = flat[torch.cat([positive, ignored])]
-    every, surplus = (_as_negative(x, alpha, gamma).sum() for x in (flat, uncounted))
-    return every - surplus + as_positive.sum()
+    uncounted = logit[torch.cat([positive, ignored])]
+    all_negative, surplus = (_as_negative(x, alpha, gamma).sum() for x in (logit, uncounted))
+    return all_negative - surplus + as_positive.sum()
 
 
 def _as_negative(logits: Tensor, alpha: float, gamma: float) -> Tensor:
@@ -59,9 +62,6 @@ def direction_loss(logits: Tensor, backwards: Tensor, *, weight: Tensor | None =
     """Cross-entropy between along and against the anchor's heading; summed, shapes (p, 2), (p,) and weights (p,)."""
     loss = functional.cross_entropy(logits, backwards, reduction="none")
     return (loss if weight is None else loss * weight).sum()
-
-
-# Sums over the processes of a training, so that several of them compute what one would with the whole batch.
 
 
 def process_count() -> int:

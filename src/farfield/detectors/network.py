@@ -154,7 +154,7 @@ class MapDetector(Network):
     def class_rows(self) -> ClassRows:
         """Those of the head, if it says them."""
         rows: ClassRows = self.head.class_rows() if hasattr(self.head, "class_rows") else {}
-        return {f"head.{name}": given for name, given in rows.items()}
+        return {f"head.{name}": meaning for name, meaning in rows.items()}
 
 
 def build_detector(config: DetectorConfig, *, seed: int | None = None) -> Network:

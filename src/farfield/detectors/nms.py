@@ -1,4 +1,7 @@
-"""Rotated non-maximum suppression with the exact IoU of :mod:`farfield.geometry.iou`."""
+"""Rotated non-maximum suppression with the exact IoU of :mod:`farfield.geometry.iou`: in numpy, and on any device.
+
+:func:`rotated_nms` takes boxes on the host, :func:`nms_on_device` rows of a tensor where they are.
+"""
 
 from collections.abc import Sequence
 
@@ -36,8 +39,8 @@ def rotated_nms(boxes: Boxes, *, iou_threshold: float, limit: int = 500) -> Int[
         return np.zeros(0, dtype=np.int64)
     order = np.argsort(-boxes.score, kind="stable")
     ranked = boxes[order]
-    reach = np.hypot(*ranked.size_m[:, :2].T) / 2
-    pairs = cKDTree(ranked.centre_m[:, :2]).query_pairs(2 * reach.max(), output_type="ndarray")
+    radius_m = np.hypot(*ranked.size_m[:, :2].T) / 2
+    pairs = cKDTree(ranked.centre_m[:, :2]).query_pairs(2 * radius_m.max(), output_type="ndarray")
     better, worse = pairs.min(axis=1), pairs.max(axis=1)
     overlap = paired_iou(ranked[better], ranked[worse], kind="bev") > max(iou_threshold, LEAST_IOU)
     better, worse = better[overlap], worse[overlap]
@@ -51,7 +54,7 @@ def rotated_nms(boxes: Boxes, *, iou_threshold: float, limit: int = 500) -> Int[
     return order[np.flatnonzero(alive)[:limit]]
 
 
-# Rotated suppression in plain PyTorch, on whatever device the boxes are: what :mod:`farfield.detectors.nms` does.
+# Rotated suppression in plain PyTorch, on whatever device the boxes are: what :func:`rotated_nms` does in numpy.
 #
 # The method is that of :mod:`farfield.geometry.iou`, in float64, step by step: both keep the same boxes, but for
 # overlaps within rounding (1e-15) of the threshold. Nothing but the number of overlapping pairs, and whether the last
@@ -120,18 +123,20 @@ def overlapping_pairs(ranked: Tensor, iou_threshold: float) -> tuple[Tensor, Ten
         ranked: Boxes as x, y, z, length, width, height, yaw, best first, shape (n, 7), float64.
         iou_threshold: As of :func:`nms_on_device`.
     """
-    flat = torch.stack([ranked[:, index] for index in _BEV], 1)
-    reach = torch.hypot(flat[:, 2], flat[:, 3]) / 2
-    number = torch.arange(len(flat), device=flat.device)
-    found = [number.new_zeros(2, 0)]
-    for some in number.split(max(1, _GAPS // max(len(flat), 1))):
-        gap = torch.hypot(flat[some, 0, None] - flat[None, :, 0], flat[some, 1, None] - flat[None, :, 1])
-        near = (gap < reach[some, None] + reach[None]) & (some[:, None] < number[None])
+    rectangles = torch.stack([ranked[:, index] for index in _BEV], 1)
+    radius_m = torch.hypot(rectangles[:, 2], rectangles[:, 3]) / 2
+    number = torch.arange(len(rectangles), device=rectangles.device)
+    pairs_over = [number.new_zeros(2, 0)]
+    for rows in number.split(max(1, _GAPS // max(len(rectangles), 1))):
+        gap = torch.hypot(
+            rectangles[rows, 0, None] - rectangles[None, :, 0], rectangles[rows, 1, None] - rectangles[None, :, 1]
+        )
+        near = (gap < radius_m[rows, None] + radius_m[None]) & (rows[:, None] < number[None])
         for pairs in near.nonzero().split(_PAIRS):
-            better, worse = some[pairs[:, 0]], pairs[:, 1]
-            over = (bev_iou(flat[better], flat[worse]) > max(iou_threshold, LEAST_IOU)).nonzero().squeeze(1)
-            found.append(torch.stack([better[over], worse[over]]))
-    better, worse = torch.cat(found, 1)
+            better, worse = rows[pairs[:, 0]], pairs[:, 1]
+            over = (bev_iou(rectangles[better], rectangles[worse]) > max(iou_threshold, LEAST_IOU)).nonzero().squeeze(1)
+            pairs_over.append(torch.stack([better[over], worse[over]]))
+    better, worse = torch.cat(pairs_over, 1)
     return better, worse
 
 
@@ -164,8 +169,8 @@ def surviving_boxes(ranked: Tensor, iou_threshold: float) -> Tensor:
     kernels = kernels_for(ranked.device, "triton_nms")
     if kernels is not None and len(ranked) <= _MOST_BITS:
         limits = constant((max(float(iou_threshold), LEAST_IOU),), ranked.device)
-        kept: Tensor = kernels.staying(ranked, limits, _LEAST_RISE).nonzero().squeeze(1)
-        return kept
+        index: Tensor = kernels.staying(ranked, limits, _LEAST_RISE).nonzero().squeeze(1)
+        return index
     better, worse = overlapping_pairs(ranked, iou_threshold)
     alive = torch.ones(len(ranked), device=ranked.device)
     settled = len(better) == 0
@@ -190,8 +195,8 @@ def boxes_after_nms(
         iou_threshold: As of :func:`nms_on_device`.
         limit: As of :func:`nms_on_device`.
     """
-    kept = surviving_boxes(ranked, iou_threshold)[:limit]
-    packed = torch.cat([ranked, score[:, None].double(), kind[:, None].double()], 1)[kept].cpu().numpy()
+    index = surviving_boxes(ranked, iou_threshold)[:limit]
+    packed = torch.cat([ranked, score[:, None].double(), kind[:, None].double()], 1)[index].cpu().numpy()
     return Boxes(
         centre_m=packed[:, :3],
         size_m=packed[:, 3:6],

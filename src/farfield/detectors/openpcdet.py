@@ -100,7 +100,7 @@ class ImportReport:
     def text(self, *, every_key: bool = False) -> str:
         """The report for people; ``every_key`` adds a line for each key that was used."""
         lines = [f"OpenPCDet checkpoint as {self.kind}: {len(self.mapped)} keys used, {len(self.ignored)} ignored"]
-        lines += [f"  {theirs} -> {ours}" for theirs, ours in self.mapped.items() if every_key]
+        lines += [f"  {source} -> {ours}" for source, ours in self.mapped.items() if every_key]
         reasons: dict[str, list[str]] = {}
         for key, reason in self.ignored.items():
             reasons.setdefault(reason, []).append(key)
@@ -175,8 +175,8 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
     state = content.get("model_state", content) if isinstance(content, dict) else content
     strange = [] if not isinstance(state, dict) else [str(k) for k, v in state.items() if not isinstance(v, Tensor)]
     if not isinstance(state, dict) or not state or strange:
-        found = f"other values at {', '.join(strange[:5])}" if strange else type(state).__name__
-        raise FileFormatError(path, where="model_state", expected="a dictionary of tensors", found=found)
+        content_words = f"other values at {', '.join(strange[:5])}" if strange else type(state).__name__
+        raise FileFormatError(path, where="model_state", expected="a dictionary of tensors", found=content_words)
     return {str(key): value for key, value in state.items()}
 
 
@@ -212,9 +212,9 @@ def _misfits(rule: Rule, ours: Mapping[str, Tensor], expected: Mapping[str, Tens
     return rule.ours in ours and ours[rule.ours].shape != expected[rule.ours].shape
 
 
-def _misfit(rule: Rule, found: Tensor, expected: Tensor) -> str:
+def _misfit(rule: Rule, converted: Tensor, expected: Tensor) -> str:
     hint = "; has each of its classes one of the anchors?" if rule.ours.startswith("head.") else ""
-    shapes = f"expected shape {tuple(expected.shape)} as {rule.ours}, got {tuple(found.shape)}"
+    shapes = f"expected shape {tuple(expected.shape)} as {rule.ours}, got {tuple(converted.shape)}"
     return f"  {', '.join(rule.theirs)}: {shapes}{hint}"
 
 
@@ -249,39 +249,38 @@ def architecture(kind: str, state: Mapping[str, Tensor]) -> dict[str, Any]:
 
 def rules(kind: str, config: Any, state: Mapping[str, Tensor]) -> list[Rule]:
     """All tensors of ours and where they come from; the layout of sparse kernels follows from ``state``."""
-    found = _pillar_rules() if kind == "pointpillars" else _middle_rules(state)
+    if kind == "pointpillars":
+        linear = Rule("encoder.linear.weight", ("vfe.pfn_layers.0.linear.weight",), _same)
+        plan = [linear, *_norm_rules("encoder.norm", "vfe.pfn_layers.0.norm")]
+    else:
+        plan = _middle_rules(state)
     first = partial(_first_after_stacking, channels=config.middle_out) if kind == "second" else _turned
     for block, depth in enumerate(config.depths):
         for layer in range(depth + 1):
             convert = first if block == layer == 0 else _turned
-            theirs, ours = f"backbone_2d.blocks.{block}", f"backbone.blocks.{block}.{layer}"
-            found.append(Rule(f"{ours}.0.weight", (f"{theirs}.{3 * layer + 1}.weight",), convert))
-            found += _norm_rules(f"{ours}.1", f"{theirs}.{3 * layer + 2}")
-        theirs, ours = f"backbone_2d.deblocks.{block}", f"backbone.necks.{block}"
-        found.append(Rule(f"{ours}.0.weight", (f"{theirs}.0.weight",), _turned))
-        found += _norm_rules(f"{ours}.1", f"{theirs}.1")
+            source, ours = f"backbone_2d.blocks.{block}", f"backbone.blocks.{block}.{layer}"
+            plan.append(Rule(f"{ours}.0.weight", (f"{source}.{3 * layer + 1}.weight",), convert))
+            plan += _norm_rules(f"{ours}.1", f"{source}.{3 * layer + 2}")
+        source, ours = f"backbone_2d.deblocks.{block}", f"backbone.necks.{block}"
+        plan.append(Rule(f"{ours}.0.weight", (f"{source}.0.weight",), _turned))
+        plan += _norm_rules(f"{ours}.1", f"{source}.1")
     head = partial(_head, per_cell=2 * len(config.anchors))
     for part in ("weight", "bias"):
         names = tuple(f"dense_head.{conv}.{part}" for conv in ("conv_cls", "conv_box", "conv_dir_cls"))
-        found.append(Rule(f"head.{part}", names, head))
-    return found
-
-
-def _pillar_rules() -> list[Rule]:
-    linear = Rule("encoder.linear.weight", ("vfe.pfn_layers.0.linear.weight",), _same)
-    return [linear, *_norm_rules("encoder.norm", "vfe.pfn_layers.0.norm")]
+        plan.append(Rule(f"head.{part}", names, head))
+    return plan
 
 
 def _middle_rules(state: Mapping[str, Tensor]) -> list[Rule]:
-    convert, found = _sparse_kernel(state), []
+    convert, plan = _sparse_kernel(state), []
     for index, name in enumerate(_MIDDLE):
-        found.append(Rule(f"middle.{index}.conv.weight", (f"backbone_3d.{name}.0.weight",), convert))
-        found += _norm_rules(f"middle.{index}.norm", f"backbone_3d.{name}.1")
-    return found
+        plan.append(Rule(f"middle.{index}.conv.weight", (f"backbone_3d.{name}.0.weight",), convert))
+        plan += _norm_rules(f"middle.{index}.norm", f"backbone_3d.{name}.1")
+    return plan
 
 
-def _norm_rules(ours: str, theirs: str) -> list[Rule]:
-    return [Rule(f"{ours}.{part}", (f"{theirs}.{part}",), _same) for part in _NORM]
+def _norm_rules(ours: str, source: str) -> list[Rule]:
+    return [Rule(f"{ours}.{part}", (f"{source}.{part}",), _same) for part in _NORM]
 
 
 def _same(tensor: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Running a trained network on frames: precision, folding, memory, and which clouds it reads."""
+"""Running a trained network on frames: which boxes it gives, precision, folding, memory, and which clouds it reads."""
 
 import copy
 import ctypes
@@ -26,7 +26,7 @@ from farfield.errors import ConfigError, plain
 from farfield.frame import Cloud, Frame
 from farfield.frame.cloud import RADAR_COLUMNS
 from farfield.geometry.boxes import Boxes
-from farfield.registry import named
+from farfield.registry import display_html
 
 # Which of its boxes a detector gives, by score, overlap, number and class: chosen as it is loaded, not trained.
 
@@ -173,8 +173,9 @@ class Detector:
         if precision not in ("auto", *DTYPES):
             raise ConfigError(f"Expected precision to be one of 'auto', {str([*DTYPES])[1:-1]}; got {precision!r}.")
         self.device = chosen_device(device)
-        asked = (precision, "asked for")
-        self.precision, self.why_precision = default_precision(self.device, network) if precision == "auto" else asked
+        self.precision, self.why_precision = precision, "asked for"
+        if precision == "auto":
+            self.precision, self.why_precision = default_precision(self.device, network)
         self.provenance, self.cloud, self._name = provenance or {}, cloud, name
         keep_freed_memory()
         most = None if max_boxes is None or classes is None else max(max_boxes, network.config.max_boxes)
@@ -216,7 +217,7 @@ class Detector:
         """Its name, kind and classes, and what it keeps."""
         config, learnt = self.config, ", ".join(self.learnt_clouds)
         named = {} if self.chosen is None else self.chosen.names
-        renamed = [own if own == given else f"{own} as {given}" for own, given in named.items()]
+        renamed = [own if own == shown else f"{own} as {shown}" for own, shown in named.items()]
         return (
             f"Detector({self.name}: {config.name} to {self.reach_m:g} m; "
             f"classes {', '.join(renamed or self.class_names)}; "
@@ -226,9 +227,9 @@ class Detector:
             f"{self.precision} on {self.device})"
         )
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         """What a notebook shows: where it looks, and for what."""
-        return str(named("farfield.figures.notebook:detector_html")(self))
+        return display_html("detector", self)
 
     @property
     def info(self) -> DetectorInfo:
@@ -268,8 +269,9 @@ class Detector:
     def learnt_clouds(self) -> tuple[str, ...]:
         """Names of the clouds that it learnt from; none where nothing is known of its training."""
         clouds = self._trained_on.get("clouds", ())
-        names = [name for each in clouds.values() for name in each] if isinstance(clouds, Mapping) else clouds
-        return tuple(dict.fromkeys(names))
+        if isinstance(clouds, Mapping):
+            clouds = [name for cloud_names in clouds.values() for name in cloud_names]
+        return tuple(dict.fromkeys(clouds))
 
     @property
     def kind(self) -> Literal["lidar", "radar"]:
@@ -294,9 +296,9 @@ class Detector:
 
     def digest(self) -> str:
         """SHA-256 of all that decides its boxes: weights, settings, precision, and the kind of its device."""
-        said = [type(self.network).__name__, self.config.model_dump(mode="json"), self.precision, self.device.type]
-        said += [] if self.chosen is None else [dict(self.chosen.names), self.chosen.max_boxes]
-        digest = hashlib.sha256(json.dumps([*said, self.cloud], sort_keys=True, default=str).encode())
+        settings = [type(self.network).__name__, self.config.model_dump(mode="json"), self.precision, self.device.type]
+        settings += [] if self.chosen is None else [dict(self.chosen.names), self.chosen.max_boxes]
+        digest = hashlib.sha256(json.dumps([*settings, self.cloud], sort_keys=True, default=str).encode())
         for name, values in self.network.state_dict().items():
             digest.update(f"\0{name}\0{values.dtype}\0{tuple(values.shape)}".encode())
             digest.update(values.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
@@ -320,12 +322,17 @@ class Detector:
                 of the kind and with the columns that it reads.
             OutOfMemory: If the frames do not fit into the device's memory.
         """
+        # Choose the cloud of each input, and take its columns as tensors.
         clouds = [self._clouds(frame) for frame in frames]
         sources = self.network.inputs.items()
-        named = {name: [cloud_tensor(each[name], source.columns) for each in clouds] for name, source in sources}
+        named = {
+            name: [cloud_tensor(frame_clouds[name], source.columns) for frame_clouds in clouds]
+            for name, source in sources
+        }
+        # One forward pass of all frames; then the classes that were chosen.
         with fitting(_TOO_LARGE):
-            found = self.network.predict(Inputs(named).on(self.device))
-        return found if self.chosen is None else [self.chosen(boxes) for boxes in found]
+            detected = self.network.predict(Inputs(named).on(self.device))
+        return detected if self.chosen is None else [self.chosen(boxes) for boxes in detected]
 
     def _clouds(self, frame: Frame | Cloud) -> dict[str, Cloud]:
         """The cloud of each of the network's inputs."""
@@ -381,10 +388,10 @@ class Detector:
 
     def _check_coordinates(self, frame: Frame) -> None:
         stands_in, learnt = frame.reference.removesuffix("'"), self.reference
-        known = {*frame.clouds, *frame.sensors}
+        names = {*frame.clouds, *frame.sensors}
         if learnt is None or stands_in == learnt:
             return
-        if learnt in known or (learnt, stands_in) == ("radar", _KRADAR_LIDAR):
+        if learnt in names or (learnt, stands_in) == ("radar", _KRADAR_LIDAR):
             raise ConfigError(
                 f"frame {frame.key} stands in the coordinates of {frame.reference}; the detector learnt in those of "
                 f"{learnt}. farfield.detect(detector, data) moves the data as it learnt to see them."
@@ -419,8 +426,8 @@ class Graphed(nn.Module):
     def forward(self, image: Tensor) -> Tensor:
         """The output for an image; the next call overwrites it."""
         if image.shape != self.image.shape or image.dtype != self.image.dtype or torch.is_grad_enabled():
-            made: Tensor = self.module(image)
-            return made
+            out: Tensor = self.module(image)
+            return out
         self.image.copy_(image)
         self.graph.replay()
         return self.out
@@ -438,8 +445,8 @@ def record_trunk(detector: Detector, frame: Frame | Cloud) -> None:
     """
     trunk = getattr(detector.network, "backbone", None)
     if detector.device.type != "cuda" or not isinstance(trunk, nn.Module):
-        got = f"{detector.name} on {detector.device}"
-        raise ConfigError(f"record_trunk: expected PointPillars, SECOND or VoxelNet on a GPU; got {got}")
+        subject = f"{detector.name} on {detector.device}"
+        raise ConfigError(f"record_trunk: expected PointPillars, SECOND or VoxelNet on a GPU; got {subject}")
     images: list[Tensor] = []
     hook = trunk.register_forward_pre_hook(lambda _, given: images.append(given[0]))
     try:

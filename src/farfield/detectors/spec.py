@@ -14,7 +14,7 @@ NetworkClass = TypeVar("NetworkClass", bound=type)
 
 @dataclass(frozen=True, kw_only=True)
 class DetectorSpec:
-    """One kind of detector; nothing of it is imported before it is asked for.
+    """One kind of detector; nothing of it is imported before first use.
 
     Args:
         name: Its name in an experiment's ``detector.name`` and in weights files.
@@ -48,10 +48,10 @@ class DetectorSpec:
         return _loaded(self.network)
 
 
-def _loaded(place: "str | type") -> Any:
-    if not isinstance(place, str):
-        return place
-    module, _, attribute = place.partition(":")
+def _loaded(target: "str | type") -> Any:
+    if not isinstance(target, str):
+        return target
+    module, _, attribute = target.partition(":")
     try:
         return getattr(import_module(module), attribute)
     except ModuleNotFoundError as error:
@@ -64,13 +64,13 @@ class Detectors(Registry[DetectorSpec]):
     """Detectors by name."""
 
     def __getitem__(self, name: str) -> DetectorSpec:
-        found = super().__getitem__(name)
-        if not isinstance(found, DetectorSpec) or found.name != name:
+        spec = super().__getitem__(name)
+        if not isinstance(spec, DetectorSpec) or spec.name != name:
             raise PluginError(
                 f"detector {name!r} of the package {self.origin(name)} cannot be used: expected a "
-                f"farfield.detectors.DetectorSpec with name={name!r}, got {found!r}"
+                f"farfield.detectors.DetectorSpec with name={name!r}, got {spec!r}"
             )
-        return found
+        return spec
 
 
 DETECTORS = Detectors(

@@ -49,9 +49,9 @@ def _overlap_kernel(  # type: ignore[no-untyped-def]
     bx, by = tl.load(b, mask=other_in, other=0.0), tl.load(b + 1, mask=other_in, other=0.0)
     bl, bw = tl.load(b + 3, mask=other_in, other=0.0), tl.load(b + 4, mask=other_in, other=0.0)
     dx, dy = ax[:, None] - bx[None, :], ay[:, None] - by[None, :]
-    reach = tl.sqrt(al * al + aw * aw)[:, None] / 2 + tl.sqrt(bl * bl + bw * bw)[None, :] / 2
-    near = one_in[:, None] & other_in[None, :] & (one[:, None] < other[None, :]) & (dx * dx + dy * dy < reach * reach)
-    found = tl.zeros((width,), dtype=tl.int64)
+    radius = tl.sqrt(al * al + aw * aw)[:, None] / 2 + tl.sqrt(bl * bl + bw * bw)[None, :] / 2
+    near = one_in[:, None] & other_in[None, :] & (one[:, None] < other[None, :]) & (dx * dx + dy * dy < radius * radius)
+    bits_of_row = tl.zeros((width,), dtype=tl.int64)
     if tl.max(tl.max(near.to(tl.int32), axis=1), axis=0) > 0:
         a_yaw, b_yaw = tl.load(a + 6, mask=one_in, other=0.0), tl.load(b + 6, mask=other_in, other=0.0)
         cos_b, sin_b = tl.cos(b_yaw)[None, :], tl.sin(b_yaw)[None, :]
@@ -74,8 +74,8 @@ def _overlap_kernel(  # type: ignore[no-untyped-def]
         union = a_m2 + b_m2 - shared
         iou = tl.where(union > 0, shared / tl.where(union > 0, union, 1.0), 0.0)
         bit = tl.full((1, width), 1, tl.int64) << tl.arange(0, width).to(tl.int64)[None, :]
-        found = tl.sum(tl.where(near & (iou > tl.load(limits)), bit, 0), axis=1)
-    tl.store(bits + one.to(tl.int64) * words + word, found, mask=one_in)
+        bits_of_row = tl.sum(tl.where(near & (iou > tl.load(limits)), bit, 0), axis=1)
+    tl.store(bits + one.to(tl.int64) * words + word, bits_of_row, mask=one_in)
 
 
 @jit
@@ -88,7 +88,7 @@ def _settle_kernel(  # type: ignore[no-untyped-def]
     bits, alive, count, words, width: tl.constexpr, wide: tl.constexpr, block: tl.constexpr
 ):
     word, lane = tl.arange(0, wide), tl.arange(0, width)
-    place = word[:, None] * width + lane[None, :]
+    box = word[:, None] * width + lane[None, :]
     changed = 1
     while changed > 0:
         gone = tl.zeros((wide,), dtype=tl.int64)
@@ -100,11 +100,11 @@ def _settle_kernel(  # type: ignore[no-untyped-def]
                 tl.load(bits + row.to(tl.int64)[:, None] * words + word[None, :], mask=there, other=0), 0, _either
             )
         now = 1 - ((gone[:, None] >> lane.to(tl.int64)[None, :]) & 1).to(tl.int32)
-        before = tl.load(alive + place, mask=place < count, other=0)
-        now = tl.where(place < count, now, 0)
+        before = tl.load(alive + box, mask=box < count, other=0)
+        now = tl.where(box < count, now, 0)
         changed = tl.max(tl.max((now != before).to(tl.int32), axis=1), axis=0)
         tl.debug_barrier()
-        tl.store(alive + place, now, mask=place < count)
+        tl.store(alive + box, now, mask=box < count)
         tl.debug_barrier()
 
 

@@ -35,8 +35,8 @@ def voxel_keys(points: Tensor, batch: Tensor, grid: VoxelGridConfig, multiple: i
     depth, nx, ny = shape = grid.shape(multiple)
     kernels = kernels_for(points.device, "triton_voxels")
     if kernels is not None and points.dtype == torch.float32:
-        given = numbers(grid, multiple, points.device)
-        key = kernels.voxel_keys(points.contiguous(), batch, given, shape, depth - grid.extra_layers)
+        constants = numbers(grid, multiple, points.device)
+        key = kernels.voxel_keys(points.contiguous(), batch, constants, shape, depth - grid.extra_layers)
         rows = (key >= 0).nonzero().squeeze(1)
         return rows, key[rows]
     dx, dy, dz = grid.cell_m
@@ -73,11 +73,11 @@ def first_points_of_voxels(
     """The clouds, shape (n, columns), each with the first ``limit`` points of every voxel alone; 0 for all points."""
     if limit == 0:
         return clouds
-    kept = []
+    counted = []
     for cloud in clouds:
         rows, key = voxel_keys(cloud, torch.zeros(len(cloud), dtype=torch.long, device=cloud.device), grid, multiple)
-        kept.append(cloud[rows[first_points(key, limit)]])
-    return kept
+        counted.append(cloud[rows[first_points(key, limit)]])
+    return counted
 
 
 def mean_voxels(
@@ -109,8 +109,8 @@ def mean_voxels(
     kernels = kernels_for(points.device, "triton_voxels")
     if kernels is not None and not published and points.dtype == torch.float32 and not points.requires_grad:
         keys, member = torch.unique(key, return_inverse=True)
-        first, given = 0 if positions == "absolute" else 2, numbers(grid, multiple, points.device)
-        features = kernels.mean_features(points.contiguous(), rows, keys, member, given, shape, first)
+        first, constants = 0 if positions == "absolute" else 2, numbers(grid, multiple, points.device)
+        features = kernels.mean_features(points.contiguous(), rows, keys, member, constants, shape, first)
         return SparseTensor(features, keys, shape, len(clouds))
     keys, member, count = torch.unique(key, return_inverse=True, return_counts=True)
     points, count = points[rows], count[:, None].to(points.dtype)

@@ -70,11 +70,12 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            tensors = {name: _single(file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118 - not a mapping
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except SafetensorError as error:
         raise FileFormatError(path, where="header", expected="safetensors", found=str(error)) from error
-    known = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
-    if not known or sum(map(len, metadata.values())) > _MAX_METADATA_BYTES:
+    tensors = {name: t.float() if t.dtype == torch.float16 else t for name, t in tensors.items()}
+    is_ours = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
+    if not is_ours or sum(map(len, metadata.values())) > _MAX_METADATA_BYTES:
         raise FileFormatError(
             path,
             where="metadata",
@@ -104,10 +105,6 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
             path, where="configuration and tensors", expected="those of one detector", found=plain(error)[:300]
         ) from error
     return network.eval(), provenance
-
-
-def _single(tensor: Tensor) -> Tensor:
-    return tensor.float() if tensor.dtype == torch.float16 else tensor
 
 
 def bundled_weights() -> dict[str, Path]:

@@ -1,6 +1,6 @@
 """Checks that every data set, detector and protocol passes, whoever wrote it; other packages call them in their tests.
 
-They are plain functions that need no test runner: what does not hold raises an AssertionError that says how to mend it.
+They are plain functions that need no test runner: what does not hold raises an AssertionError that says how to fix it.
 
 >>> from farfield.testing import check_protocol
 >>> check_protocol("dds")
@@ -24,7 +24,7 @@ def check_detector(name: str, settings: Mapping[str, Any] | None = None, *, proc
         processes: Also take a step in two processes, which must be that of one; it starts them, and takes seconds.
 
     Raises:
-        AssertionError: If something does not hold; the message says what and how to mend it.
+        AssertionError: If something does not hold; the message says what and how to fix it.
         MissingExtraError: If torch is not installed.
     """
     from farfield.detectors import DETECTORS

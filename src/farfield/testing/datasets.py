@@ -27,7 +27,7 @@ def check_dataset(data: Dataset) -> None:
         data: The data set, opened; all of its frames are read several times.
 
     Raises:
-        AssertionError: If something does not hold; the message says what and how to mend it.
+        AssertionError: If something does not hold; the message says what and how to fix it.
     """
     assert len(data), f"{data.root}: expected at least one frame to check"
     check_files(data)
@@ -77,14 +77,14 @@ def check_views(data: Dataset) -> None:
     """Maps travel to other processes, leave a recipe that gives the same again, and enter the fingerprint."""
     others = [name for name in data.references if name != data[0].reference]
     views = [data.moved(AWAY), *(data.mapped(Coordinates(name)) for name in others)]
-    for seen in views:
-        again = replay(data, json.loads(json.dumps(seen.recipe)))
-        assert again.fingerprint() == pickle.loads(pickle.dumps(seen)).fingerprint(), (
+    for view in views:
+        again = replay(data, json.loads(json.dumps(view.recipe)))
+        assert again.fingerprint() == pickle.loads(pickle.dumps(view)).fingerprint(), (
             "expected the fingerprint of a moved data set from its recipe; options must be what JSON holds"
         )
-        assert_same(again[0], seen[0], where="the frame by its recipe")
-        check_pickling(seen[0])
-    marks = {seen.fingerprint() for seen in (data, *views)}
+        assert_same(again[0], view[0], where="the frame by its recipe")
+        check_pickling(view[0])
+    marks = {view.fingerprint() for view in (data, *views)}
     assert len(marks) == 1 + len(views), "expected maps to change the fingerprint; do not override fingerprint()"
 
 
@@ -169,8 +169,10 @@ def check_moving(frame: Frame) -> None:
     if frame.world_T_frame is not None and frame.boxes is not None:
         assert away.world_T_frame is not None, f"{frame.key}: lost its pose when it moved"
         assert away.boxes is not None, f"{frame.key}: lost its boxes when it moved"
-        here = frame.boxes.transform(frame.world_T_frame).centre_m
-        assert_same(away.boxes.transform(away.world_T_frame).centre_m, here, atol=1e-3, where="boxes in the world")
+        world_boxes = frame.boxes.transform(frame.world_T_frame).centre_m
+        assert_same(
+            away.boxes.transform(away.world_T_frame).centre_m, world_boxes, atol=1e-3, where="boxes in the world"
+        )
 
 
 def check_velocities(frame: Frame, away: Frame) -> None:

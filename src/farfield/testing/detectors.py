@@ -45,8 +45,8 @@ def check_network(name: str, settings: Mapping[str, Any]) -> None:
 def made_frame(network: Network, *, seed: int = 5, objects: int = 4) -> tuple[Inputs, Boxes]:
     """A frame of ground and boxes full of points, in every cloud that a network reads."""
     rng = np.random.default_rng(seed)
-    reach = min(60.0, network.config.reach_m)
-    x = reach * (0.15 + 0.7 * np.arange(objects) / max(objects - 1, 1))
+    reach_m = min(60.0, network.config.reach_m)
+    x = reach_m * (0.15 + 0.7 * np.arange(objects) / max(objects - 1, 1))
     boxes = Boxes(
         centre_m=np.column_stack([x, rng.uniform(-5, 5, objects), np.full(objects, -1.2)]),
         size_m=np.tile([4.4, 1.8, 1.4], (objects, 1)),
@@ -55,7 +55,7 @@ def made_frame(network: Network, *, seed: int = 5, objects: int = 4) -> tuple[In
     )
     named = {}
     for source, wants in network.inputs.items():
-        ground = np.column_stack([rng.uniform(1, reach, 2000), rng.uniform(-6, 6, 2000), rng.normal(-2, 0.02, 2000)])
+        ground = np.column_stack([rng.uniform(1, reach_m, 2000), rng.uniform(-6, 6, 2000), rng.normal(-2, 0.02, 2000)])
         shells = [centre + rng.uniform(-1, 1, (90, 3)) * [1.5, 0.8, 0.6] for centre in boxes.centre_m]
         xyz = np.concatenate([ground, *shells])
         further = [rng.uniform(0, 1, len(xyz)) * (column != "lag_s") for column in wants.columns[3:]]
@@ -70,7 +70,7 @@ def arrays_of(batch: Inputs, frame: int) -> dict[str, np.ndarray]:
 
 def losses_of(network: Network, batch: Inputs, boxes: list[Boxes]) -> dict[str, Tensor]:
     """The losses of a batch by name."""
-    targets = [network.assigner(each, arrays_of(batch, index)) for index, each in enumerate(boxes)]
+    targets = [network.assigner(annotated, arrays_of(batch, index)) for index, annotated in enumerate(boxes)]
     return network.losses(network(batch, targets), targets)
 
 
@@ -160,8 +160,8 @@ def check_rows(network: Network) -> None:
     again = features.rows(limit=64, generator=torch.Generator().manual_seed(1))
     assert len(few.values) == min(64, count), "expected at most so many rows"
     assert all(torch.equal(a, b) for a, b in zip(few, again, strict=True)), "expected the same rows for one seed"
-    every = {(f, *place): number for number, (f, place) in enumerate(_places(rows))}
-    numbers = [every[frame, *place] for frame, place in _places(few)]
+    index = {(f, *place_m): number for number, (f, place_m) in enumerate(_places(rows))}
+    numbers = [index[frame, *place_m] for frame, place_m in _places(few)]
     assert torch.equal(rows.values[numbers], few.values), "expected chosen rows to be among all rows"
     even = features.rows(limit=64)
     assert len(even.values) == min(64, count), "expected rows without a generator too"
@@ -180,8 +180,8 @@ def check_place(network: Network) -> None:
     with torch.no_grad():
         before, after = network.encode(batch), network.encode(added)
     if isinstance(before, PointFeatures) or isinstance(before.values, SparseTensor):
-        old = {tuple(place) for place in before.rows().place_m.tolist()}
-        new = torch.tensor([place for place in after.rows().place_m.tolist() if tuple(place) not in old])
+        old = {tuple(place_m) for place_m in before.rows().place_m.tolist()}
+        new = torch.tensor([place_m for place_m in after.rows().place_m.tolist() if tuple(place_m) not in old])
         if not len(new):  # every place was occupied before
             return
         nearest = (new - spot).norm(dim=1).min()
@@ -231,12 +231,14 @@ def check_empty(network: Network) -> None:
     batch, boxes = made_frame(network)
     nothing = Inputs({name: [cloud[:0] for cloud in clouds] for name, clouds in batch.items()})
     network.eval()
-    for each in (nothing, nothing + batch, batch + nothing):
-        found = network.predict(each)
-        assert len(found) == len(each), f"expected boxes of {len(each)} frames, got those of {len(found)}"
+    for inputs in (nothing, nothing + batch, batch + nothing):
+        boxes_of_frames = network.predict(inputs)
+        assert len(boxes_of_frames) == len(inputs), (
+            f"expected boxes of {len(inputs)} frames, got those of {len(boxes_of_frames)}"
+        )
     network.train()
-    for each, annotated in ((nothing, [Boxes.empty()]), (nothing, [boxes]), (batch + nothing, [boxes, boxes])):
-        losses = losses_of(network, each, annotated)
+    for inputs, annotated in ((nothing, [Boxes.empty()]), (nothing, [boxes]), (batch + nothing, [boxes, boxes])):
+        losses = losses_of(network, inputs, annotated)
         assert all(torch.isfinite(value) for value in losses.values()), (
             "expected finite losses of frames without points; divide by normaliser(count), which is at least 1"
         )
@@ -250,18 +252,19 @@ def check_order(network: Network) -> None:
     network.eval()
     batch, _ = made_frame(network)
     draw = torch.Generator().manual_seed(2)
-    turned = Inputs({name: [_shuffled(cloud, draw) for cloud in clouds] for name, clouds in batch.items()})
+    turned = Inputs(
+        {
+            name: [cloud[torch.randperm(len(cloud), generator=draw)] for cloud in clouds]
+            for name, clouds in batch.items()
+        }
+    )
     with torch.no_grad():
-        one, other = (_in_order(network.encode(each).rows()) for each in (batch, turned))
+        one, other = (_in_order(network.encode(inputs).rows()) for inputs in (batch, turned))
     for a, b in zip(one, other, strict=True):
         assert a.shape == b.shape, "expected as many rows, whatever the order of the points"
         torch.testing.assert_close(
             a, b, rtol=1e-3, atol=1e-3, msg=lambda text: f"features depend on the points' order: {text}"
         )
-
-
-def _shuffled(cloud: Tensor, draw: torch.Generator) -> Tensor:
-    return cloud[torch.randperm(len(cloud), generator=draw)]
 
 
 def _in_order(rows: FeatureRows) -> tuple[Tensor, Tensor]:

@@ -108,9 +108,9 @@ def one_step(task: StepTask, rank: int = 0, world: int = 1) -> dict[str, Any]:
     torch.manual_seed(1)
     frames = [made_frame(network, seed=seed, objects=objects) for seed, objects in ((5, 4), (6, 1), (7, 2))]
     nothing = Inputs({key: [cloud[:0] for cloud in clouds] for key, clouds in frames[0][0].items()})
-    mine: list[tuple[Inputs, Boxes]] = [*frames, (nothing, Boxes.empty())][rank::world]
-    batch = sum((inputs for inputs, _ in mine[1:]), mine[0][0])
-    targets = [network.assigner(boxes, arrays_of(batch, index)) for index, (_, boxes) in enumerate(mine)]
+    share: list[tuple[Inputs, Boxes]] = [*frames, (nothing, Boxes.empty())][rank::world]
+    batch = sum((inputs for inputs, _ in share[1:]), share[0][0])
+    targets = [network.assigner(boxes, arrays_of(batch, index)) for index, (_, boxes) in enumerate(share)]
     losses = network.losses(network(batch.to(dtype), targets), targets)
     torch.stack([*losses.values()]).sum().backward()
     average_gradients(network.parameters())
@@ -136,8 +136,8 @@ def steps_of_two(folder: Path, tasks: Sequence[StepTask]) -> list[dict[str, Any]
     try:
         ended = [process.wait(PATIENCE_S) for process in running]
     except subprocess.TimeoutExpired as error:
-        mend = "each process must call normaliser as often as the other, whatever its frames hold"
-        raise AssertionError(f"{names}: two processes wait for each other; {mend}") from error
+        fix = "each process must call normaliser as often as the other, whatever its frames hold"
+        raise AssertionError(f"{names}: two processes wait for each other; {fix}") from error
     finally:
         for process in running:
             process.kill()
@@ -150,14 +150,14 @@ def steps_of_two(folder: Path, tasks: Sequence[StepTask]) -> list[dict[str, Any]
 def main(folder: str, rank: str) -> None:
     """Join the other process and take the step of each task; the first one writes them beside the tasks."""
     torch.set_num_threads(1)
-    place = Path(folder)
-    tasks = [StepTask(**task) for task in json.loads((place / "tasks.json").read_text(encoding="utf-8"))]
-    meeting = (place / "meeting").as_uri()
+    shared = Path(folder)
+    tasks = [StepTask(**task) for task in json.loads((shared / "tasks.json").read_text(encoding="utf-8"))]
+    meeting = (shared / "meeting").as_uri()
     torch.distributed.init_process_group("gloo", init_method=meeting, rank=int(rank), world_size=PROCESSES)
     for number, task in enumerate(tasks):
         step = one_step(task, int(rank), PROCESSES)
         if int(rank) == 0:
-            torch.save(step, place / f"{number}.pt")
+            torch.save(step, shared / f"{number}.pt")
     torch.distributed.destroy_process_group()
 
 

@@ -15,13 +15,13 @@ def example() -> Detections:
     boxes, annotations = {}, {}
     for number in range(6):
         many = 0 if number == 3 else 10
-        place = np.arange(many)
+        index = np.arange(many)
         marked = Boxes(
-            centre_m=np.column_stack([5.0 + 6.0 * place, (place % 3) * 3.0 - 3.0, np.zeros(many)]),
+            centre_m=np.column_stack([5.0 + 6.0 * index, (index % 3) * 3.0 - 3.0, np.zeros(many)]),
             size_m=np.tile([4.0, 2.0, 1.5], (many, 1)),
             yaw_rad=np.linspace(-1, 1, many),
-            label=np.where(place % 5 == 0, "pedestrian", "vehicle"),
-            track_id=place,
+            label=np.where(index % 5 == 0, "pedestrian", "vehicle"),
+            track_id=index,
         )
         key = (f"drive{number % 2}", str(number))
         annotations[key] = Annotation(boxes=marked)
@@ -36,55 +36,57 @@ def check_protocol(protocol: str | Protocol) -> None:
         protocol: The protocol, or its name in ``farfield.metrics.PROTOCOLS``.
 
     Raises:
-        AssertionError: If something does not hold; the message says what and how to mend it.
+        AssertionError: If something does not hold; the message says what and how to fix it.
     """
-    made = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
-    found = example()
-    best = found.score(made)
+    checked = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
+    detections = example()
+    best = detections.score(checked)
     tree = json.loads(json.dumps(best.to_json(), allow_nan=False))
-    top = made.headline(tree)
-    assert any(value is not None for value in top.values()), f"{made}: headline() must name figures of the result"
-    assert made.settings(found) == made.settings(found), f"{made}: settings() must depend on its arguments alone"
-    assert tree["protocol"] == str(made), f"{made}: Result.protocol must be the protocol's name"
-    assert str(best), f"{made}: a result must print itself"
-    check_worse(made, found, top)
-    check_order(made, found, top)
-    check_empty(made, found)
+    top = checked.headline(tree)
+    assert any(value is not None for value in top.values()), f"{checked}: headline() must name figures of the result"
+    assert checked.settings(detections) == checked.settings(detections), (
+        f"{checked}: settings() must depend on its arguments alone"
+    )
+    assert tree["protocol"] == str(checked), f"{checked}: Result.protocol must be the protocol's name"
+    assert str(best), f"{checked}: a result must print itself"
+    check_worse(checked, detections, top)
+    check_order(checked, detections, top)
+    check_empty(checked, detections)
 
 
-def check_worse(made: Protocol, found: Detections, top: Mapping[str, float | None]) -> None:
+def check_worse(protocol: Protocol, detections: Detections, top: Mapping[str, float | None]) -> None:
     """Boxes that are moved, and no boxes at all, score no more than perfect ones."""
     shift = np.array([0.8, 0.0, 0.0])
-    shifted = {key: boxes.replace(centre_m=boxes.centre_m + shift) for key, boxes in found.boxes.items()}
+    shifted = {key: boxes.replace(centre_m=boxes.centre_m + shift) for key, boxes in detections.boxes.items()}
     low: Mapping[str, float | None] = {}
     for worse, name in ((shifted, "moved by 0.8 m"), ({}, "absent")):
-        low = made.headline(found.replaced(worse).score(made).to_json())
+        low = protocol.headline(detections.replaced(worse).score(protocol).to_json())
         for figure, value in top.items():
             other = low.get(figure)
             assert other is None or value is None or other <= value, (
-                f"{made}: {figure} is larger for boxes that are {name} than for perfect ones"
+                f"{protocol}: {figure} is larger for boxes that are {name} than for perfect ones"
             )
     none = [value for value in low.values() if value is not None]
     most = max(value for value in top.values() if value is not None)
-    assert none, f"{made}: no boxes at all where some are annotated must score something, such as 0"
-    assert max(none) < most, f"{made}: no boxes at all must score less than perfect ones"
+    assert none, f"{protocol}: no boxes at all where some are annotated must score something, such as 0"
+    assert max(none) < most, f"{protocol}: no boxes at all must score less than perfect ones"
 
 
-def check_order(made: Protocol, found: Detections, top: Mapping[str, float | None]) -> None:
+def check_order(protocol: Protocol, detections: Detections, top: Mapping[str, float | None]) -> None:
     """The order of boxes and of frames does not matter."""
     rng = np.random.default_rng(0)
-    turned = {key: boxes[rng.permutation(len(boxes))] for key, boxes in reversed([*found.boxes.items()])}
-    again = found.replaced(turned).score(made)
-    assert_close(made.headline(again.to_json()), top, f"{made}: the order of boxes and frames must not matter")
+    turned = {key: boxes[rng.permutation(len(boxes))] for key, boxes in reversed([*detections.boxes.items()])}
+    again = detections.replaced(turned).score(protocol)
+    assert_close(protocol.headline(again.to_json()), top, f"{protocol}: the order of boxes and frames must not matter")
 
 
-def check_empty(made: Protocol, found: Detections) -> None:
+def check_empty(protocol: Protocol, detections: Detections) -> None:
     """Frames without boxes, and no frames, give a result that JSON holds."""
     nothing = Annotation(boxes=Boxes.empty())
-    bare = Detections(boxes={}, annotations=dict.fromkeys(found.annotations, nothing)).score(made)
+    bare = Detections(boxes={}, annotations=dict.fromkeys(detections.annotations, nothing)).score(protocol)
     json.dumps(bare.to_json(), allow_nan=False)
-    assert not any(made.headline(bare.to_json()).values()), f"{made}: frames without boxes must give None, or 0"
-    json.dumps(Detections(boxes={}, annotations={}).score(made).to_json(), allow_nan=False)
+    assert not any(protocol.headline(bare.to_json()).values()), f"{protocol}: frames without boxes must give None, or 0"
+    json.dumps(Detections(boxes={}, annotations={}).score(protocol).to_json(), allow_nan=False)
 
 
 def assert_close(one: Mapping[str, float | None], other: Mapping[str, float | None], what: str) -> None:

@@ -176,21 +176,25 @@ class AnchorGrid:
         """
         kind = self.kinds(boxes)
         column, row = np.floor((boxes.centre_m[:, :2] - self.first_m) / self.step_m + 0.5).astype(np.int64).T
-        here = np.flatnonzero((kind >= 0) & (column >= 0) & (column < self.nx) & (row >= 0) & (row < self.ny))
-        reach = int(np.ceil(ignore_m / self.step_m.min()))
-        step_x, step_y = (s.ravel() for s in np.meshgrid(*[np.arange(-reach, reach + 1)] * 2, indexing="ij"))
-        ix, iy = column[here, None] + step_x, row[here, None] + step_y
+        in_grid = np.flatnonzero((kind >= 0) & (column >= 0) & (column < self.nx) & (row >= 0) & (row < self.ny))
+        radius_cells = int(np.ceil(ignore_m / self.step_m.min()))
+        step_x, step_y = (
+            s.ravel() for s in np.meshgrid(*[np.arange(-radius_cells, radius_cells + 1)] * 2, indexing="ij")
+        )
+        ix, iy = column[in_grid, None] + step_x, row[in_grid, None] + step_y
         centre_x, centre_y = ix * self.step_m[0] + self.first_m[0], iy * self.step_m[1] + self.first_m[1]
-        gap = np.hypot(centre_x - boxes.centre_m[here, 0, None], centre_y - boxes.centre_m[here, 1, None])
+        gap = np.hypot(centre_x - boxes.centre_m[in_grid, 0, None], centre_y - boxes.centre_m[in_grid, 1, None])
         gap[(ix < 0) | (ix >= self.nx) | (iy < 0) | (iy >= self.ny)] = np.inf
-        turned = np.abs(wrap_angle_rad(2 * boxes.yaw_rad[here])) > np.pi / 2  # nearer to 90 than to 0 degrees, mod 180
-        base = ((ix * self.ny + iy) * len(self.names) + kind[here, None]) * 2
+        turned = (
+            np.abs(wrap_angle_rad(2 * boxes.yaw_rad[in_grid])) > np.pi / 2
+        )  # nearer to 90 than to 0 degrees, mod 180
+        base = ((ix * self.ny + iy) * len(self.names) + kind[in_grid, None]) * 2
         assigned = (gap <= positive_m) | ((gap == gap.min(axis=1, initial=np.inf, keepdims=True)) & np.isfinite(gap))
         box_of, where = np.nonzero(assigned)
         positive = base[box_of, where] + turned[box_of]
         order = np.argsort(gap[box_of, where], kind="stable")
         positive, first = np.unique(positive[order], return_index=True)
-        winner = here[box_of[order][first]]
+        winner = in_grid[box_of[order][first]]
         near_box, near_where = np.nonzero(gap <= ignore_m)
         near = base[near_box, near_where]
         ignored = np.setdiff1d(np.concatenate([near, near + 1, positive ^ 1]), positive)
@@ -270,12 +274,13 @@ def _overlaps(
     grid: AnchorGrid, boxes: Boxes, chosen: Int[np.ndarray, " m"], kind: int
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """All pairs of the chosen boxes and the anchors of a class that overlap: box, flat anchor index, IoU."""
-    half_box = _half_m(boxes.size_m[chosen, :2], _lies_across(boxes.yaw_rad[chosen]))
+    across = np.abs(wrap_angle_rad(2 * boxes.yaw_rad[chosen])) > np.pi / 2  # nearer to 90 than to 0 degrees, either way
+    half_box = _half_m(boxes.size_m[chosen, :2], across)
     half_anchor = _half_m(np.tile(grid.sizes_m[kind, :2], (2, 1)), np.array([False, True]))
-    reach = np.ceil((half_box.max(axis=0, initial=0.0) + half_anchor.max(axis=0)) / grid.step_m).astype(np.int64)
-    reach = np.minimum(reach, [grid.nx, grid.ny])
+    radius_cells = np.ceil((half_box.max(axis=0, initial=0.0) + half_anchor.max(axis=0)) / grid.step_m).astype(np.int64)
+    radius_cells = np.minimum(radius_cells, [grid.nx, grid.ny])
     nearest = np.round((boxes.centre_m[chosen, :2] - grid.first_m) / grid.step_m).astype(np.int64)
-    steps = np.stack(np.meshgrid(*(np.arange(-r, r + 1) for r in reach), indexing="ij"), axis=-1).reshape(-1, 2)
+    steps = np.stack(np.meshgrid(*(np.arange(-r, r + 1) for r in radius_cells), indexing="ij"), axis=-1).reshape(-1, 2)
     cell = nearest[:, None] + steps
     gap = np.abs(cell * grid.step_m + grid.first_m - boxes.centre_m[chosen, None, :2])[:, :, None]
     shared = np.minimum(
@@ -289,11 +294,6 @@ def _overlaps(
     ix, iy = cell[row, step].T
     anchor = ((ix * grid.ny + iy) * len(grid.names) + kind) * 2 + heading
     return chosen[row], anchor, iou[row, step, heading]
-
-
-def _lies_across(yaw_rad: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Whether a heading is nearer to 90 than to 0 degrees, either way."""
-    return np.abs(wrap_angle_rad(2 * yaw_rad)) > np.pi / 2
 
 
 def _half_m(size_m: Float[np.ndarray, "n 2"], across: Bool[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:

@@ -106,8 +106,10 @@ class AnchorHead(nn.Conv2d):
         """What each output channel is: of an anchor a logit, or one of the numbers of its box and direction."""
         headings = range(self.anchors.per_cell // len(self.anchors.names))
         slots = [(name, heading) for name in self.anchors.names for heading in headings]
-        said = [f"logit of {name}" for name in self.anchors.names] if self.config.head == "openpcdet" else ["logit"]
-        logits = [(*slot, what) for what in said for slot in slots]
+        logit_names = (
+            [f"logit of {name}" for name in self.anchors.names] if self.config.head == "openpcdet" else ["logit"]
+        )
+        logits = [(*slot, what) for what in logit_names for slot in slots]
         channels = [*logits, *(AnchorRow(*slot, number) for number in range(_BOX_NUMBERS) for slot in slots)]
         return {"weight": (0, channels), "bias": (0, channels)}
 
@@ -148,8 +150,8 @@ class AnchorHead(nn.Conv2d):
         if self.config.head == "farfield":
             return positive, ignored
         kind = positive % self.anchors.per_cell // 2
-        every = torch.arange(self.logits, device=ignored.device)
-        return positive * self.logits + kind, (ignored[:, None] * self.logits + every).reshape(-1)
+        class_index = torch.arange(self.logits, device=ignored.device)
+        return positive * self.logits + kind, (ignored[:, None] * self.logits + class_index).reshape(-1)
 
     def decode(self, maps: AnchorMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
@@ -188,13 +190,15 @@ def anchor_rows(grid: AnchorGrid, index: Tensor) -> Tensor:
     cell, slot = index // grid.per_cell, index % grid.per_cell
     kind, heading = slot // 2, slot % 2
     ix, iy = cell // grid.ny, cell % grid.ny
-    place = [
+    constants = [
         i.double() * float(step) + float(first)
         for i, step, first in zip((ix, iy), grid.step_m, grid.first_m, strict=True)
     ]
     kinds = [(float(z), *map(float, size)) for z, size in zip(grid.z_m, grid.sizes_m, strict=True)]
     headings = constant(tuple(map(float, grid.headings_rad)), index.device)
-    return torch.cat([torch.stack(place, 1), constant(tuple(kinds), index.device)[kind], headings[heading, None]], 1)
+    return torch.cat(
+        [torch.stack(constants, 1), constant(tuple(kinds), index.device)[kind], headings[heading, None]], 1
+    )
 
 
 def decode(code: Tensor, backwards: Tensor, anchors: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""What RTN and RTNH share: K-Radar's two regions, their anchors and thresholds, and the choice of the head."""
+"""What RTN and RTNH share: cells of radar clouds, the two regions with their anchors, the neck, the head."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -142,8 +142,8 @@ class CellEncoder(nn.Module):
         count = torch.bincount(key, minlength=cells)
         keys = count.nonzero().squeeze(1)
         if len(keys) < len(key):  # somewhere two points share a cell
-            kept = first_points(key, self.max_points)
-            features, key = features[kept], key[kept]
+            counted = first_points(key, self.max_points)
+            features, key = features[counted], key[counted]
         row = torch.cumsum(count > 0, 0)[key] - 1
         if len(keys) == len(key) and self.max_points > 1:  # one point a cell, and zeros beside it
             learned = torch.relu(self.linear(features))

@@ -89,8 +89,8 @@ class RTN(RadarDetector):
         config = self.config
         depth, low, cell = config.grid.shape(1)[0], config.grid.z_min_m, config.grid.cell_m[2]
         places = ["mean"] if config.height == "mean" else [f"z {low + (k + 0.5) * cell:.2f} m" for k in range(depth)]
-        said = [f"{config.columns[index]} at {place}" for index in self.read for place in places]
-        return {"trunk.stem.0.weight": (1, said)}
+        channels = [f"{config.columns[index]} at {height}" for index in self.read for height in places]
+        return {"trunk.stem.0.weight": (1, channels)}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> FeatureMap:
         """Dense map of the cells, 2D dense convolution blocks and neck (appendix E.1 and E.3)."""

@@ -148,7 +148,8 @@ class RadarBackbone(nn.Module):
         if self.training:
             return count >= DENSE_SHARE["training"] * size
         if self.stages[0][0].conv.by_table(cells):
-            return count >= DENSE_SHARE["tables, matrix tiles" if _has_matrix_tiles() else "tables"] * size
+            has_matrix_tiles = getattr(torch.cpu, "_is_amx_tile_supported", bool)()
+            return count >= DENSE_SHARE["tables, matrix tiles" if has_matrix_tiles else "tables"] * size
         return count >= min(DENSE_SHARE["pairs"] * size, DENSE_CELLS)
 
     def _sparse(self, sparse: SparseTensor) -> Tensor:
@@ -179,10 +180,6 @@ def _convolves_fast(features: Tensor) -> bool:
     return device != "cpu" or (torch.backends.mkldnn.is_available() and (coarse or torch.get_num_threads() > 1))
 
 
-def _has_matrix_tiles() -> bool:
-    return bool(getattr(torch.cpu, "_is_amx_tile_supported", bool)())
-
-
 def _reached(occupied: Tensor, conv: Any) -> Tensor:
     """The cells that hold a value after a convolution, in the form of :func:`occupied_map`."""
     return (
@@ -195,10 +192,10 @@ def _kernel(conv: Any, dtype: torch.dtype) -> Tensor:
     weight = conv.weight.to(dtype).view(*conv.kernel, conv.c_in, conv.c_out).permute(4, 3, 0, 1, 2)
     if torch.is_grad_enabled():
         return weight
-    known, version, kernel = getattr(
+    cached, version, kernel = getattr(
         conv, "laid_out", (None, None, None)
     )  # holds the weights: their place stays theirs
-    if known is None or (known.data_ptr(), version) != (conv.weight.data_ptr(), conv.weight._version):
+    if cached is None or (cached.data_ptr(), version) != (conv.weight.data_ptr(), conv.weight._version):
         kernel = None
     if kernel is None or kernel.dtype != dtype:
         kernel = weight.contiguous(memory_format=torch.channels_last_3d)
@@ -272,6 +269,6 @@ def _in_slabs(volume: Tensor, kernel: Tensor, bias: Tensor | None, occupied: Ten
         part = volume[:, :, start - below : end + above]
         if not (below and above):
             part = functional.pad(part, (0, 0, 0, 0, 1 - below, 1 - above))
-        made = functional.conv3d(part, kernel, bias, 1, (0, 1, 1)).relu_()
-        torch.mul(made, mask[:, :, start:end], out=out[:, :, start:end])
+        slab = functional.conv3d(part, kernel, bias, 1, (0, 1, 1)).relu_()
+        torch.mul(slab, mask[:, :, start:end], out=out[:, :, start:end])
     return out

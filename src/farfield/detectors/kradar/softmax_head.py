@@ -79,9 +79,9 @@ class BoxesOnGrid:
         grid = self.grid
         kind = grid.kinds(boxes)
         column, row = np.floor((boxes.centre_m[:, :2] - grid.first_m) / grid.step_m + 0.5).T
-        here = (kind >= 0) & (column >= 0) & (column < grid.nx) & (row >= 0) & (row < grid.ny)
+        in_grid = (kind >= 0) & (column >= 0) & (column < grid.nx) & (row >= 0) & (row < grid.ny)
         rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
-        return BoxTargets(rows[here], kind[here], range_weights(boxes, self.far_weight)[here])
+        return BoxTargets(rows[in_grid], kind[in_grid], range_weights(boxes, self.far_weight)[in_grid])
 
 
 class ProposalMatches(NamedTuple):
@@ -129,14 +129,14 @@ def match_proposals(proposals: Float[np.ndarray, "m 7"], targets: BoxTargets, gr
 
 def _near(proposals: np.ndarray, slots: np.ndarray, targets: BoxTargets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pairs of boxes and proposals of their class that may overlap, and whether it is the box's nearest proposal."""
-    reach = np.hypot(proposals[:, 3], proposals[:, 4]) / 2
+    radius_cells = np.hypot(proposals[:, 3], proposals[:, 4]) / 2
     by_kind = {kind: np.flatnonzero(slots == kind) for kind in np.unique(targets.kind)}
     x, y = np.ascontiguousarray(proposals[:, :2].T)
     parts = []
     for number, row in enumerate(targets.rows):
         own = by_kind[targets.kind[number]]
         square = (x[own] - row[0]) ** 2 + (y[own] - row[1]) ** 2
-        close = square < (reach[own] + np.hypot(row[3], row[4]) / 2) ** 2
+        close = square < (radius_cells[own] + np.hypot(row[3], row[4]) / 2) ** 2
         nearest = np.arange(len(own)) == square.argmin()
         rows = np.flatnonzero(close | nearest)
         parts.append((np.full(len(rows), number), own[rows], nearest[rows]))
@@ -199,15 +199,15 @@ class SoftmaxHead(nn.Module):
         fixed = self._rows(None) if self.proposals == "anchors" else None
         for frame, target in enumerate(targets):
             rows = self._rows(codes[frame]) if fixed is None else fixed
-            found = match_proposals(rows, target, self.anchors)
-            cell, slot = np.divmod(found.proposal, self.anchors.per_cell)
-            box_weight = torch.from_numpy(target.weight[found.box]).float()
-            best = torch.from_numpy(found.best)
-            labels[frame, torch.from_numpy(found.ignored)] = _IGNORED
+            assignments = match_proposals(rows, target, self.anchors)
+            cell, slot = np.divmod(assignments.proposal, self.anchors.per_cell)
+            box_weight = torch.from_numpy(target.weight[assignments.box]).float()
+            best = torch.from_numpy(assignments.best)
+            labels[frame, torch.from_numpy(assignments.ignored)] = _IGNORED
             labels[frame, torch.from_numpy(cell)[best]] = 1 + torch.from_numpy(slot)[best]
             weights[frame, torch.from_numpy(cell)[best]] = box_weight[best]
-            predicted.append(codes[frame].flatten(0, 1)[torch.from_numpy(found.proposal).to(codes.device)])
-            expected.append(self._code(target.rows[found.box], found.proposal))
+            predicted.append(codes[frame].flatten(0, 1)[torch.from_numpy(assignments.proposal).to(codes.device)])
+            expected.append(self._code(target.rows[assignments.box], assignments.proposal))
             weight.append(box_weight)
         device = codes.device
         expected_codes, box_weights = torch.cat(expected).to(device), torch.cat(weight).to(device)

@@ -226,7 +226,7 @@ class PillarEncoder(nn.Module):
     def _decorate(self, points: Tensor, key: Tensor, member: Tensor, pillar_count: int) -> Tensor:
         """Describe each point: position, offset to its pillar's mean and to its centre, number of points there.
 
-        The first three are those of the paper, scaled to the grid; the fourth (logarithm) stands in for intensity.
+        The first three are those of the paper, scaled to the grid; the fourth (logarithm) takes the role of intensity.
         """
         xyz = points[:, :3]
         ones = xyz.new_ones(len(xyz), 1)

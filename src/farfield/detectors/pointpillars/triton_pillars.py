@@ -80,12 +80,12 @@ def _image_kernel(  # type: ignore[no-untyped-def]
     for number in tl.static_range(extra):
         features = _put(features, column, 9 - first + number, tl.load(at + 3 + number, mask=inside, other=0.0))
     channel = tl.arange(0, across)
-    kept = (column < 9 - first + extra)[:, None] & (channel < channels)[None, :]
-    matrix = tl.load(weight + channel[None, :] * (9 - first + extra) + column[:, None], mask=kept, other=0.0)
-    made = tl.dot(features, matrix, input_precision="ieee")
-    made += tl.load(bias + channel, mask=channel < channels, other=0.0)[None, :]
+    in_weight = (column < 9 - first + extra)[:, None] & (channel < channels)[None, :]
+    matrix = tl.load(weight + channel[None, :] * (9 - first + extra) + column[:, None], mask=in_weight, other=0.0)
+    product = tl.dot(features, matrix, input_precision="ieee")
+    product += tl.load(bias + channel, mask=channel < channels, other=0.0)[None, :]
     out = image + key[:, None] * channels + channel[None, :]
-    tl.atomic_max(out, tl.maximum(made, 0.0), mask=inside[:, None] & (channel < channels)[None, :] & (made > 0))
+    tl.atomic_max(out, tl.maximum(product, 0.0), mask=inside[:, None] & (channel < channels)[None, :] & (product > 0))
 
 
 def image(
@@ -115,16 +115,16 @@ def image(
     """
     channels, columns = len(weight), points.shape[1]
     sums = points.new_zeros(frames * nx * ny, 4, dtype=torch.float64)
-    made = points.new_zeros(frames, nx, ny, channels)
+    out = points.new_zeros(frames, nx, ny, channels)
     if len(points):
         programs = (triton.cdiv(len(points), _BLOCK),)
         _sums_kernel[programs](points, batch, grid, sums, len(points), columns, nx, ny, _BLOCK)
         wide, across = (max(16, triton.next_power_of_2(size)) for size in (weight.shape[1], channels))
         _image_kernel[programs](
-            points, batch, grid, sums, weight.contiguous(), bias, made, len(points), columns, nx, ny,
+            points, batch, grid, sums, weight.contiguous(), bias, out, len(points), columns, nx, ny,
             first, columns - 3, channels, wide, across, _BLOCK,
         )  # fmt: skip
-    return made
+    return out
 
 
 def takes(weight: Tensor) -> bool:

@@ -1,5 +1,6 @@
-"""Bin-based boxes (PointRCNN, sections 3.2 and 3.4): choose a bin, then refine within it.
+"""Boxes of PointRCNN: their bins (sections 3.2 and 3.4), proposals between the stages, and targets of points.
 
+Bins: choose one, then refine within it.
 A box is expressed relative to a reference: where it is, how it is turned and how large such boxes are. At the first
 stage that is a point (not turned) with the mean size of its class, at the second stage a proposal.
 """
@@ -98,9 +99,9 @@ class BinCoder:
         cos, sin = torch.cos(reference[:, 6]), torch.sin(reference[:, 6])
         along = offset[:, 0] * cos + offset[:, 1] * sin
         across = offset[:, 1] * cos - offset[:, 0] * sin
-        place = (torch.stack([along, across], 1) + config.scope_m).clamp(0, 2 * config.scope_m - 1e-3)
-        bins = torch.floor(place / config.bin_m)
-        rest = (place - (bins + 0.5) * config.bin_m) / (config.bin_m / 2)
+        shifted = (torch.stack([along, across], 1) + config.scope_m).clamp(0, 2 * config.scope_m - 1e-3)
+        bins = torch.floor(shifted / config.bin_m)
+        rest = (shifted - (bins + 0.5) * config.bin_m) / (config.bin_m / 2)
         turn = self._wrapped(boxes[:, 6] - reference[:, 6]) + self._first_edge()
         turn_bin = torch.floor(turn / self.heading_bin_rad).clamp(0, config.headings - 1)
         turn_rest = (turn - (turn_bin + 0.5) * self.heading_bin_rad) / (self.heading_bin_rad / 2)
@@ -242,8 +243,8 @@ def keep_proposals(boxes: Tensor, score: Tensor, config: ProposalConfig, *, trai
     """
     iou, count = (config.training_nms_iou, config.training_count) if training else (config.nms_iou, config.count)
     scored = as_boxes(boxes.cpu().numpy(), score.double().cpu().numpy())
-    kept = torch.from_numpy(rotated_nms(scored, iou_threshold=iou, limit=max(len(scored), 1))).to(boxes.device)
-    return kept[first_of_bands(config.bands.of(boxes[kept]), config.bands.shares, count)]
+    rows = torch.from_numpy(rotated_nms(scored, iou_threshold=iou, limit=max(len(scored), 1))).to(boxes.device)
+    return rows[first_of_bands(config.bands.of(boxes[rows]), config.bands.shares, count)]
 
 
 def match_proposals(proposals: Float[np.ndarray, "m 7"], boxes: Float[np.ndarray, "k 7"]) -> Match:

@@ -127,9 +127,9 @@ class Refinement(nn.Module):
         rows = self.local(torch.cat([local, extra], 1))
         rows = self.merge(torch.cat([semantic.to(rows.dtype), rows], 1))
         for level in self.levels:
-            chosen, taken = farthest_points(local, lengths, level.config.centres)
+            chosen, counts = farthest_points(local, lengths, level.config.centres)
             centres = local[chosen]
-            rows, local, lengths = level(local, rows, lengths, centres, taken), centres, taken
+            rows, local, lengths = level(local, rows, lengths, centres, counts), centres, counts
         owner = frame_rows(lengths, local.device)
         everything = Groups(owner, torch.arange(len(owner), device=local.device), len(lengths))
         pooled = pool_group(self.pool, everything, local, rows)
@@ -266,15 +266,15 @@ class PointRCNN(Network):
 
     def input_columns(self) -> InputColumns:
         """What the first level's perceptrons read, and the last propagation's, which meets the input again."""
-        said, last = tuple(self.config.inputs), len(self.backbone.propagations) - 1
-        if not said:
+        columns, last = tuple(self.config.inputs), len(self.backbone.propagations) - 1
+        if not columns:
             return {}
         first = {
-            f"backbone.abstractions.0.mlps.{number}.linears.0.weight": (1, ("dx", "dy", "dz", *said))
+            f"backbone.abstractions.0.mlps.{number}.linears.0.weight": (1, ("dx", "dy", "dz", *columns))
             for number in range(len(self.backbone.abstractions[0].mlps))
         }
         coarse = tuple(f"coarse {number}" for number in range(self.backbone.propagations[last].c_coarse))
-        return {**first, f"backbone.propagations.{last}.mlp.linears.0.weight": (1, (*coarse, *said))}
+        return {**first, f"backbone.propagations.{last}.mlp.linears.0.weight": (1, (*coarse, *columns))}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> PointFeatures:
         """Chosen points and their features (section 3.1); ``aux`` holds the row of each in its cloud."""
@@ -310,10 +310,10 @@ class PointRCNN(Network):
 
     def _inputs(self, points: Tensor) -> Tensor | None:
         columns = self.config.columns
-        known = {name: points[:, columns.index(column)] for name, column in _COLUMNS.items() if column in columns}
-        known["height"] = points[:, 2] / self.config.grid.z_max_m
-        known["range"] = torch.hypot(points[:, 0], points[:, 1]) / 100.0
-        return torch.stack([known[name] for name in self.config.inputs], 1) if self.config.inputs else None
+        values = {name: points[:, columns.index(column)] for name, column in _COLUMNS.items() if column in columns}
+        values["height"] = points[:, 2] / self.config.grid.z_max_m
+        values["range"] = torch.hypot(points[:, 0], points[:, 1]) / 100.0
+        return torch.stack([values[name] for name in self.config.inputs], 1) if self.config.inputs else None
 
     def _propose(
         self, xyz: Tensor, logits: Tensor, codes: Tensor, lengths: list[int], targets: Sequence[PointTargets] | None
@@ -321,14 +321,14 @@ class PointRCNN(Network):
         """Boxes that the second stage looks at, their classes, and how many each frame has."""
         boxes, kinds = [], []
         frames = zip(xyz.split(lengths), torch.sigmoid(logits).split(lengths), codes.split(lengths), strict=True)
-        for index, (place, scores, code) in enumerate(frames):
+        for index, (points, scores, code) in enumerate(frames):
             score, kind = scores.max(1)
-            row = first_candidates(place, score, self.config.proposals)
-            box = self.coder.decode(code[row], self._reference(place[row], kind[row]))
-            kept = keep_proposals(box, score[row], self.config.proposals, training=self.training)
-            box, kind = box[kept], kind[row][kept]
+            row = first_candidates(points, score, self.config.proposals)
+            box = self.coder.decode(code[row], self._reference(points[row], kind[row]))
+            rows = keep_proposals(box, score[row], self.config.proposals, training=self.training)
+            box, kind = box[rows], kind[row][rows]
             if self.training and targets is not None:
-                box, kind = self._draw(place, box, kind, targets[index])
+                box, kind = self._draw(points, box, kind, targets[index])
             boxes.append(box)
             kinds.append(kind)
         return torch.cat(boxes), torch.cat(kinds), [len(box) for box in boxes]
@@ -382,13 +382,15 @@ class PointRCNN(Network):
         box, classes = owner[positive], len(self.config.sizes_m)
         count = torch.bincount(box, minlength=len(boxes)).float()[box]
         mean = sum_over_processes(count.sum()) / sum_over_processes(count.new_tensor(float(len(count)))).clamp(min=1)
-        each = weight[box] * (mean / count) ** self.config.balance
-        total = normaliser(each.sum())
+        point_weight = weight[box] * (mean / count) ** self.config.balance
+        total = normaliser(point_weight.sum())
         ignored = (unsure[:, None] * classes + torch.arange(classes, device=unsure.device)).flatten()
         right = positive * classes + kind[box]
         expected = self.coder.encode(boxes[box], self._reference(outputs.xyz[positive], kind[box]))
         box_loss = self.coder.loss(outputs.codes[positive], expected)
-        return focal_loss(outputs.logits, right, ignored, weight=each) / total, (box_loss * each).sum() / total
+        return focal_loss(outputs.logits, right, ignored, weight=point_weight) / total, (
+            box_loss * point_weight
+        ).sum() / total
 
     def _second_loss(self, outputs: Stages, targets: Sequence[PointTargets]) -> tuple[Tensor, Tensor]:
         config, device = self.config.refinement.match, outputs.xyz.device
@@ -404,8 +406,8 @@ class PointRCNN(Network):
         sure = torch.nonzero(right | wrong)[:, 0]
         labels = torch.zeros(len(right), len(self.config.sizes_m), device=device)
         labels[right, kind[box[right]]] = 1.0
-        each = torch.ones(len(right), device=device)
-        each[right] = weight[box[right]]
+        proposal_weight = torch.ones(len(right), device=device)
+        proposal_weight[right] = weight[box[right]]
         error = functional.binary_cross_entropy_with_logits(
             outputs.confidences[sure].float(), labels[sure], reduction="none"
         )
@@ -414,7 +416,7 @@ class PointRCNN(Network):
         loss = self.refiner.loss(outputs.refinements[row], self.refiner.encode(boxes[box[row]], reference))
         share = weight[box[row]]
         return (
-            (error.sum(1) * each[sure]).sum() / normaliser(error.new_tensor(float(len(sure)))),
+            (error.sum(1) * proposal_weight[sure]).sum() / normaliser(error.new_tensor(float(len(sure)))),
             (loss * share).sum() / normaliser(share.sum()),
         )
 
@@ -428,6 +430,6 @@ class PointRCNN(Network):
     def _boxes(self, rows: Tensor, scores: Tensor) -> Boxes:
         score, kind = scores.max(1)
         keep = score >= self.config.score_threshold
-        found = as_boxes(rows[keep].cpu().numpy(), score[keep].double().cpu().numpy())
-        found = found.replace(label=np.array(self.config.class_names)[kind[keep].cpu().numpy()])
-        return found[rotated_nms(found, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
+        boxes = as_boxes(rows[keep].cpu().numpy(), score[keep].double().cpu().numpy())
+        boxes = boxes.replace(label=np.array(self.config.class_names)[kind[keep].cpu().numpy()])
+        return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]

@@ -226,10 +226,10 @@ class PointNet2(nn.Module):
         """
         levels = [_PointLevel(xyz, list(lengths), features)]
         for abstraction, rows in zip(self.abstractions, self._choices(xyz, lengths), strict=True):
-            last, (chosen, taken) = levels[-1], rows
+            last, (chosen, counts) = levels[-1], rows
             centres = last.xyz[chosen]
-            pooled = abstraction(last.xyz, last.features, last.lengths, centres, taken)
-            levels.append(_PointLevel(centres, taken, pooled))
+            pooled = abstraction(last.xyz, last.features, last.lengths, centres, counts)
+            levels.append(_PointLevel(centres, counts, pooled))
         carried = levels[-1].features
         for propagation, fine, coarse in zip(self.propagations, levels[-2::-1], levels[:0:-1], strict=True):
             row, weight = three_nearest(fine.xyz, fine.lengths, coarse.xyz, coarse.lengths)
@@ -247,8 +247,8 @@ class PointNet2(nn.Module):
         choices = [sample(xyz, lengths, counts[0])]
         for count in counts[1:]:
             before = choices[-1][1]
-            taken = [min(count, length) for length in before]
+            lengths_now = [min(count, length) for length in before]
             starts = [sum(before[:frame]) for frame in range(len(before))]
-            parts = [torch.arange(s, s + k, device=xyz.device) for s, k in zip(starts, taken, strict=True)]
-            choices.append((torch.cat(parts), taken))
+            parts = [torch.arange(s, s + k, device=xyz.device) for s, k in zip(starts, lengths_now, strict=True)]
+            choices.append((torch.cat(parts), lengths_now))
         return choices

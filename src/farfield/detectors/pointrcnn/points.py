@@ -1,4 +1,4 @@
-"""Choosing points: farthest point sampling, its fast stand-in on voxels, and budgets by range.
+"""Operators on points: sampling, budgets by range, neighbourhoods, and the points inside proposals.
 
 Farthest point sampling (Qi et al., PointNet++, NIPS 2017, section 3.2) gives a sequence of which every prefix is again
 the farthest point sampling of the whole set. A network's coarser levels are therefore prefixes of its finest one, and
@@ -91,7 +91,7 @@ def share_budget(available: Int[np.ndarray, " b"], shares: Sequence[float], budg
 def content_rank(points: Tensor) -> Tensor:
     """A pseudo-random number in [0, 2^31) for each point that depends on its coordinates alone, shape (n,), int64.
 
-    It stands in for a random draw: the same cloud gives the same choice whatever the order of its points, and a cloud
+    It replaces a random draw: the same cloud gives the same choice whatever the order of its points, and a cloud
     that augmentation has moved gives another.
     """
     bits = points[:, :3].contiguous().view(torch.int32).long() & 0xFFFFFFFF
@@ -147,18 +147,18 @@ def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> tuple
     Returns:
         Chosen rows in the order of choice, frame after frame; how many each frame has: min(count, its length).
     """
-    starts, taken = prefix_rows(lengths, count)
+    starts, counts = prefix_rows(lengths, count)
     points = points.detach().float()
-    if not any(taken):
-        return torch.zeros(0, dtype=torch.long, device=points.device), taken
+    if not any(counts):
+        return torch.zeros(0, dtype=torch.long, device=points.device), counts
     kernels = kernels_for(points.device, "pointrcnn.triton_sampling")
     if kernels is not None:
-        return kernels.farthest_points(points, lengths, count), taken
-    if not points.is_cuda and sum(taken) <= _SIDE_BY_SIDE * max(taken):
+        return kernels.farthest_points(points, lengths, count), counts
+    if not points.is_cuda and sum(counts) <= _SIDE_BY_SIDE * max(counts):
         xyz = points.numpy()
-        parts = [_farthest_of_one(xyz[s : s + n], k) + s for s, n, k in zip(starts, lengths, taken, strict=True)]
-        return torch.from_numpy(np.concatenate(parts)), taken
-    return _farthest_side_by_side(points, lengths, count), taken
+        parts = [_farthest_of_one(xyz[s : s + n], k) + s for s, n, k in zip(starts, lengths, counts, strict=True)]
+        return torch.from_numpy(np.concatenate(parts)), counts
+    return _farthest_side_by_side(points, lengths, count), counts
 
 
 def _farthest_of_one(xyz: Float32[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " k"]:
@@ -232,9 +232,9 @@ def spread_points(
     Returns:
         As :func:`farthest_points`.
     """
-    starts, taken = prefix_rows(lengths, count)
-    parts = [_spread(points[s : s + n], finest_m)[:k] + s for s, n, k in zip(starts, lengths, taken, strict=True)]
-    return torch.cat([torch.zeros(0, dtype=torch.long, device=points.device), *parts]), taken
+    starts, counts = prefix_rows(lengths, count)
+    parts = [_spread(points[s : s + n], finest_m)[:k] + s for s, n, k in zip(starts, lengths, counts, strict=True)]
+    return torch.cat([torch.zeros(0, dtype=torch.long, device=points.device), *parts]), counts
 
 
 def _spread(points: Tensor, finest_m: float) -> Tensor:
@@ -346,15 +346,15 @@ def ball_query(
     points, centres = points.detach().float(), centres.detach().float()
     order, low, high = _cells_around(points, lengths, centres, centre_lengths, 1.001 * max(radii_m))
     sorted_points = points[order]
-    found: list[list[Tensor]] = [[] for _ in radii_m]
+    pairs: list[list[Tensor]] = [[] for _ in radii_m]
     for part in chunks((high - low).sum(1), _CANDIDATES):
         place, owner = expand_ranges(low[part].flatten(), high[part].flatten())
         centre = torch.div(owner, 3, rounding_mode="floor") + part.start
         gap2 = (sorted_points[place] - centres[centre]).square_().sum(1)
-        for radius, keys in zip(radii_m, found, strict=True):
+        for radius, keys in zip(radii_m, pairs, strict=True):
             near = torch.nonzero(gap2 <= radius * radius)[:, 0]
             keys.append(centre[near] * n + order[place[near]])
-    return [first_pairs(torch.cat(keys), n, limit, m) for keys, limit in zip(found, limits, strict=True)]
+    return [first_pairs(torch.cat(keys), n, limit, m) for keys, limit in zip(pairs, limits, strict=True)]
 
 
 def _cells_around(
@@ -488,15 +488,15 @@ def points_in_rois(
         Pairs of a RoI (as centre) and a point.
     """
     points, rois = points.detach().float(), rois.detach().float()
-    n, m, found = len(points), len(rois), [torch.zeros(0, dtype=torch.long, device=points.device)]
+    n, m, pairs = len(points), len(rois), [torch.zeros(0, dtype=torch.long, device=points.device)]
     first_point = first_roi = 0
     for length, roi_length in zip(lengths, roi_lengths, strict=True):
         inside = _of_one_frame(
             points[first_point : first_point + length], rois[first_roi : first_roi + roi_length], context_m
         )
-        found += [(roi + first_roi) * n + point + first_point for roi, point in inside]
+        pairs += [(roi + first_roi) * n + point + first_point for roi, point in inside]
         first_point, first_roi = first_point + length, first_roi + roi_length
-    return first_pairs(torch.cat(found), n, limit, m)
+    return first_pairs(torch.cat(pairs), n, limit, m)
 
 
 def _of_one_frame(points: Tensor, rois: Tensor, context_m: float) -> list[tuple[Tensor, Tensor]]:
@@ -504,17 +504,17 @@ def _of_one_frame(points: Tensor, rois: Tensor, context_m: float) -> list[tuple[
     if not len(points) or not len(rois):
         return []
     half = rois[:, 3:6] / 2 + context_m
-    reach = torch.hypot(half[:, 0], half[:, 1]) * 1.0001 + 1e-3
+    radius_m = torch.hypot(half[:, 0], half[:, 1]) * 1.0001 + 1e-3
     order = torch.argsort(points[:, 0], stable=True)
     ranked = points[order]
     x = ranked[:, 0].contiguous()
-    low = torch.searchsorted(x, (rois[:, 0] - reach).contiguous())
-    high = torch.searchsorted(x, (rois[:, 0] + reach).contiguous(), right=True)
+    low = torch.searchsorted(x, (rois[:, 0] - radius_m).contiguous())
+    high = torch.searchsorted(x, (rois[:, 0] + radius_m).contiguous(), right=True)
     pairs = []
     for part in chunks(high - low, _ROI_CANDIDATES):
         place, roi = expand_ranges(low[part], high[part])
         roi = roi + part.start
-        near = torch.nonzero((ranked[place, 1] - rois[roi, 1]).abs() <= reach[roi])[:, 0]
+        near = torch.nonzero((ranked[place, 1] - rois[roi, 1]).abs() <= radius_m[roi])[:, 0]
         place, roi = place[near], roi[near]
         inside = (in_roi_frames(ranked[place], rois[roi]).abs() <= half[roi]).all(1)
         pairs.append((roi[inside], order[place[inside]]))

@@ -1,4 +1,4 @@
-"""Features on the occupied cells of a batch of 3D grids."""
+"""Features on the occupied cells of a batch of 3D grids, and the search for a cell's occupied neighbours."""
 
 import math
 from collections.abc import Sequence
@@ -148,9 +148,9 @@ def neighbour_table(keys: Tensor, query_keys: Tensor, shape: Triple, offsets: Se
     if len(keys) == 0 or len(table) == 0:
         return table.view(len(query_keys), len(offsets))
     numbering = Numbering.around(keys, query_keys, shape, offsets)
-    wanted = numbering.numbers(query_keys)[:, None] + numbering.steps(offsets, keys.device)
-    pairs, found = occupied(numbering, numbering.numbers(keys), wanted.view(-1))
-    table[pairs] = found
+    queries = numbering.numbers(query_keys)[:, None] + numbering.steps(offsets, keys.device)
+    pairs, rows_found = occupied(numbering, numbering.numbers(keys), queries.view(-1))
+    table[pairs] = rows_found
     return table.view(len(query_keys), len(offsets))
 
 
@@ -171,12 +171,12 @@ def neighbour_pairs(keys: Tensor, shape: Triple, offsets: Sequence[Triple]) -> t
         return none, none, (0,) * len(offsets)
     numbering = Numbering.around(keys, keys, shape, offsets)
     numbers = numbering.numbers(keys)
-    wanted = numbering.steps(offsets, keys.device)[:, None] + numbers
-    pairs, theirs = occupied(numbering, numbers, wanted.view(-1))
+    queries = numbering.steps(offsets, keys.device)[:, None] + numbers
+    pairs, neighbour = occupied(numbering, numbers, queries.view(-1))
     edges = torch.searchsorted(pairs, torch.arange(len(offsets) + 1, device=keys.device) * len(keys)).tolist()
     counts = tuple(end - start for start, end in pairwise(edges))
-    mine = (pairs.int() if wanted.numel() < 2**31 else pairs).remainder_(len(keys)).int()
-    return mine, theirs, counts
+    cell = (pairs.int() if queries.numel() < 2**31 else pairs).remainder_(len(keys)).int()
+    return cell, neighbour, counts
 
 
 class Numbering:
@@ -224,26 +224,26 @@ class Numbering:
         return torch.tensor(steps, dtype=self.dtype, device=device)
 
 
-def occupied(numbering: Numbering, numbers: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+def occupied(numbering: Numbering, numbers: Tensor, queries: Tensor) -> tuple[Tensor, Tensor]:
     """Find numbers among others.
 
     Args:
         numbering: How cells are numbered.
         numbers: Occupied cells, shape (n,), ascending, each once.
-        wanted: Cells to look up, shape (m,).
+        queries: Cells to look up, shape (m,).
 
     Returns:
         Which of them are occupied, shape (p,), int64, ascending, and their rows in ``numbers``, int32.
     """
     words = numbering.size >> _WORD_BITS
     if numbering.size <= _MAX_BITMAP_CELLS and words <= _WORDS_PER_CELL * (len(numbers) + 4096):
-        return _look_up(words + 1, numbers, wanted)
-    row = torch.searchsorted(numbers, wanted, out_int32=True).clamp_(max=len(numbers) - 1)
-    hits = (numbers.index_select(0, row) == wanted).nonzero().squeeze(1)
+        return _look_up(words + 1, numbers, queries)
+    row = torch.searchsorted(numbers, queries, out_int32=True).clamp_(max=len(numbers) - 1)
+    hits = (numbers.index_select(0, row) == queries).nonzero().squeeze(1)
     return hits, row.index_select(0, hits)
 
 
-def _look_up(words: int, numbers: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+def _look_up(words: int, numbers: Tensor, queries: Tensor) -> tuple[Tensor, Tensor]:
     """:func:`occupied` by a bitmap: a cell's row is that of its word's first cell plus the bits set below its own."""
     mask = (1 << _WORD_BITS) - 1
     word = numbers >> _WORD_BITS
@@ -254,12 +254,12 @@ def _look_up(words: int, numbers: Tensor, wanted: Tensor) -> tuple[Tensor, Tenso
     first = new.nonzero().squeeze(1)
     start = torch.empty_like(bits)
     start.scatter_(0, word.index_select(0, first).long(), first.int())
-    there = bits.index_select(0, wanted >> _WORD_BITS)
-    there.bitwise_right_shift_(wanted & mask).bitwise_and_(1)
-    hits = there.nonzero().squeeze(1)
-    found = wanted.index_select(0, hits)
-    word = found >> _WORD_BITS
-    higher = torch.bitwise_left_shift(torch.full_like(found, -1), found & mask)
+    bit = bits.index_select(0, queries >> _WORD_BITS)
+    bit.bitwise_right_shift_(queries & mask).bitwise_and_(1)
+    hits = bit.nonzero().squeeze(1)
+    hit_numbers = queries.index_select(0, hits)
+    word = hit_numbers >> _WORD_BITS
+    higher = torch.bitwise_left_shift(torch.full_like(hit_numbers, -1), hit_numbers & mask)
     below = bits.index_select(0, word).bitwise_and_(higher.bitwise_not_())
     return hits, start.index_select(0, word).add_(_count_bits(below))
 

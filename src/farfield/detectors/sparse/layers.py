@@ -1,4 +1,4 @@
-"""Sparse convolution layers. Each maps a SparseTensor to a SparseTensor.
+"""Sparse convolution, and its layers. Each layer maps a SparseTensor to a SparseTensor.
 
 Weights have shape (K, c_in, c_out); the K kernel elements run over z, x and y as in ``nn.Conv3d``. A flat map is a grid
 of depth 1 with kernels (1, 3, 3).
@@ -61,8 +61,8 @@ def sparse_conv(
     """
     if isinstance(book, NeighbourTable):
         return completed(table_product(features, weight, book.rows, bias), relu, added)
-    given = (features, weight) if bias is None else (features, weight, bias)
-    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given):
+    inputs = (features, weight) if bias is None else (features, weight, bias)
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs):
         out: Tensor = _SparseConv.apply(features, weight, book)
         return completed(out if bias is None else out + bias, relu, added)
     return gather_product(features, weight, book, bias, relu, added)
@@ -81,9 +81,9 @@ def _add_bias(rows: Tensor, bias: Tensor | None) -> Tensor:
     """
     if bias is None:
         return rows
-    whole = len(rows) // _ROWS_AT_ONCE * _ROWS_AT_ONCE
-    rows[:whole].view(-1, _ROWS_AT_ONCE * len(bias)).add_(bias.repeat(_ROWS_AT_ONCE))
-    rows[whole:].add_(bias)
+    full = len(rows) // _ROWS_AT_ONCE * _ROWS_AT_ONCE
+    rows[:full].view(-1, _ROWS_AT_ONCE * len(bias)).add_(bias.repeat(_ROWS_AT_ONCE))
+    rows[full:].add_(bias)
     return rows
 
 
@@ -124,8 +124,8 @@ def gather_product(
     kernels = _gpu_kernels(features)
     if kernels is not None:
         rows = (None, book.table) if _in_order(features, book) else book.similar
-        made: Tensor = kernels.gather_product(features, weight, *rows, bias, relu, added)
-        return made
+        out: Tensor = kernels.gather_product(features, weight, *rows, bias, relu, added)
+        return out
     assert isinstance(book, Rulebook), "a table is for the kernels alone"
     return completed(_pair_product(features, weight, book, bias), relu, added)
 
@@ -169,9 +169,9 @@ def _multiply_blocks(features: Tensor, weight: Tensor, book: Rulebook, products:
         book.sources[:in_blocks].split(at_once * BLOCK_PAIRS),
         products[:in_blocks].view(-1, BLOCK_PAIRS, c_out),
     )
-    for rows, numbers, made in zip(sources, elements.split(at_once), out.split(at_once), strict=True):
+    for rows, numbers, product in zip(sources, elements.split(at_once), out.split(at_once), strict=True):
         gathered = features.index_select(0, rows).view(-1, BLOCK_PAIRS, c_in)
-        torch.bmm(gathered, weight.index_select(0, numbers), out=made)
+        torch.bmm(gathered, weight.index_select(0, numbers), out=product)
 
 
 def _add_up(features: Tensor, weight: Tensor, book: Rulebook) -> Tensor:

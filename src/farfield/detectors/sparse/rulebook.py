@@ -141,12 +141,12 @@ def submanifold_rulebook(keys: Tensor, shape: Triple, kernel: Triple) -> Ruleboo
         raise ValueError(f"Expected a submanifold kernel that is odd along every axis; got {kernel}.")
     offsets = kernel_offsets(kernel)
     half = len(offsets) // 2
-    mine, theirs, counts = neighbour_pairs(keys, shape, offsets[:half])
-    taken, filler = _in_blocks((0, *accumulate(counts)), counts, keys.device)
-    mine, theirs = mine.index_select(0, taken), theirs.index_select(0, taken)
+    cell, neighbour, counts = neighbour_pairs(keys, shape, offsets[:half])
+    index, filler = _in_blocks((0, *accumulate(counts)), counts, keys.device)
+    cell, neighbour = cell.index_select(0, index), neighbour.index_select(0, index)
     own = torch.arange(len(keys), dtype=torch.int32, device=keys.device)
-    sources = torch.cat([theirs, mine, own])
-    targets = torch.cat([mine.masked_fill_(filler, len(keys)), theirs.masked_fill_(filler, len(keys)), own])
+    sources = torch.cat([neighbour, cell, own])
+    targets = torch.cat([cell.masked_fill_(filler, len(keys)), neighbour.masked_fill_(filler, len(keys)), own])
     mirrored = (*range(half), *range(len(offsets) - 1, half, -1), half)
     return Rulebook(keys, shape, keys, shape, sources, targets, (*counts, *counts, len(keys)), mirrored, symmetric=True)
 
@@ -228,22 +228,22 @@ def _reached(
     runs = _runs(kernel, stride)
     starts = [ends[run.phase] for run in runs]
     counts = tuple(ends[run.phase + 1] - ends[run.phase] for run in runs)
-    taken, filler = _in_blocks(starts, counts, keys.device)
+    chosen, filler = _in_blocks(starts, counts, keys.device)
     shifts = [(z * out_shape[1] + x) * out_shape[2] + y for z, x, y in (run.step for run in runs)]
-    sources = order.index_select(0, taken).int()
+    sources = order.index_select(0, chosen).int()
     reached = cells.index_select(0, sources) - _to_pairs(shifts, counts, cells)
     if astray:
         fits = ~filler
         for axis, quotient in astray.items():
             index = quotient.index_select(0, sources) - _to_pairs([run.step[axis] for run in runs], counts, cells)
             fits &= (index >= 0) & (index < out_shape[axis])
-        kept = fits.nonzero().squeeze(1)
+        inside_rows = fits.nonzero().squeeze(1)
         filled = torch.tensor([_blocks(count) * BLOCK_PAIRS for count in counts], device=keys.device)
-        edges = [0, *torch.searchsorted(kept, filled.cumsum(0)).tolist()]
+        edges = [0, *torch.searchsorted(inside_rows, filled.cumsum(0)).tolist()]
         counts = tuple(end - start for start, end in pairwise(edges))
-        taken, filler = _in_blocks(edges, counts, keys.device)
-        taken = kept.index_select(0, taken)
-        sources, reached = sources.index_select(0, taken), reached.index_select(0, taken)
+        chosen, filler = _in_blocks(edges, counts, keys.device)
+        chosen = inside_rows.index_select(0, chosen)
+        sources, reached = sources.index_select(0, chosen), reached.index_select(0, chosen)
     reached.masked_fill_(filler, frames * math.prod(out_shape))
     return sources, reached, counts, tuple(run.number for run in runs)
 

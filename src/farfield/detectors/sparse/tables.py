@@ -1,7 +1,7 @@
-"""Neighbour tables: the other way to convolve, for cells that lie close together on a small grid.
+"""Neighbour tables: for cells that lie close together on a small grid of a CPU, and for every grid on a GPU.
 
-Where most neighbours are occupied, looking all of them up and taking those that are not for zero costs less than a list
-of the pairs that there are: one product a block of cells, and no sum over pairs afterwards.
+On a CPU, where most neighbours are occupied, looking all of them up and taking those that are not for zero costs less
+than a list of the pairs that there are: one product a block of cells, and no sum over pairs afterwards.
 """
 
 import functools
@@ -64,8 +64,8 @@ def strided_table(sparse: SparseTensor, kernel: Triple, stride: Triple, padding:
 
 def occupied_map(sparse: SparseTensor) -> Tensor:
     """1 at the occupied cells, else 0, shape (b, 1, D, nx, ny), uint8."""
-    flat = sparse.keys.new_zeros(sparse.batch_size * math.prod(sparse.shape), dtype=torch.uint8)
-    return flat.index_fill_(0, sparse.keys, 1).view(sparse.batch_size, 1, *sparse.shape)
+    mask = sparse.keys.new_zeros(sparse.batch_size * math.prod(sparse.shape), dtype=torch.uint8)
+    return mask.index_fill_(0, sparse.keys, 1).view(sparse.batch_size, 1, *sparse.shape)
 
 
 def reached_map(occupied: Tensor, kernel: Triple, stride: Triple, padding: Triple) -> Tensor:
@@ -94,12 +94,12 @@ def table_product(features: Tensor, weight: Tensor, rows: Tensor, bias: Tensor |
     padded = functional.pad(features, (0, 0, 0, 1))
     matrix = weight.reshape(size * c_in, c_out)
     out = features.new_empty(len(rows), c_out)
-    for some, made in zip(rows.split(_ROWS), out.split(_ROWS), strict=True):
-        gathered = padded.index_select(0, some.reshape(-1)).view(len(some), size * c_in)
+    for block, out_block in zip(rows.split(_ROWS), out.split(_ROWS), strict=True):
+        gathered = padded.index_select(0, block.reshape(-1)).view(len(block), size * c_in)
         if bias is None:
-            torch.mm(gathered, matrix, out=made)
+            torch.mm(gathered, matrix, out=out_block)
         else:
-            torch.addmm(bias, gathered, matrix, out=made)
+            torch.addmm(bias, gathered, matrix, out=out_block)
     return out
 
 
@@ -113,8 +113,8 @@ def _table_rows(sparse: SparseTensor, outputs: Tensor, kernel: Triple, stride: T
     _, depth, nx, ny = raster.shape
     first = encode_keys(outputs * outputs.new_tensor([1, *stride]), (depth, nx, ny)).int()
     steps = [(z * nx + x) * ny + y for z, x, y in itertools.product(*map(range, kernel))]
-    wanted = first[:, None] + first.new_tensor(steps)
-    return raster.view(-1).index_select(0, wanted.view(-1)).view(wanted.shape)
+    queries = first[:, None] + first.new_tensor(steps)
+    return raster.view(-1).index_select(0, queries.view(-1)).view(queries.shape)
 
 
 # Rulebooks for a GPU: the neighbour table itself, found without a number of it going to the host.
@@ -162,8 +162,8 @@ class DeviceBook:
         """The rulebook that leads back: input and output change places."""
         if self.find_back is None:
             raise ValueError("Expected a rulebook between different cells; a symmetric one is its own inverse.")
-        here, (table, met) = (self.table, self.met), self.find_back()
-        book = DeviceBook(self.keys, self.keys_in, self.shape_in, table, met, self.shape, lambda: here)
+        forward, (table, met) = (self.table, self.met), self.find_back()
+        book = DeviceBook(self.keys, self.keys_in, self.shape_in, table, met, self.shape, lambda: forward)
         book.__dict__["inverse"] = self
         return book
 
@@ -198,8 +198,8 @@ def submanifold_book(keys: Tensor, shape: Triple, kernel: Triple) -> DeviceBook:
         centred = (kernel[0] // 2, kernel[1] // 2, kernel[2] // 2)
         table, met = kernels.find_rows(keys, keys, _steps(kernel, centred), shape=shape)
         return DeviceBook(keys, keys, shape, table, met, shape)
-    frame, *place = decode_keys(keys, shape).unbind(1)
-    along = [at[:, None] + _counted(size, at) - size // 2 for at, size in zip(place, kernel, strict=True)]
+    frame, *indices = decode_keys(keys, shape).unbind(1)
+    along = [at[:, None] + _counted(size, at) - size // 2 for at, size in zip(indices, kernel, strict=True)]
     return DeviceBook(keys, keys, shape, _rows_under_kernel(keys, frame, along, shape), None, shape)
 
 
@@ -225,17 +225,17 @@ def strided_book(
         frames = frames or int(keys[-1]) // math.prod(shape) + 1
         if frames * math.prod(out_shape) <= MAX_MARKS:
             return _marked_book(kernels, keys, shape, out_shape, _steps(kernel, padding), stride, frames)
-    frame, *place = decode_keys(keys, shape).unbind(1)
+    frame, *indices = decode_keys(keys, shape).unbind(1)
     along, even = [], []
-    for at, size, step, border in zip(place, kernel, stride, padding, strict=True):
-        reach = at[:, None] + border - _counted(size, at)
-        along.append(torch.div(reach, step, rounding_mode="floor"))
-        even.append(along[-1] * step == reach)
+    for at, size, step, border in zip(indices, kernel, stride, padding, strict=True):
+        reached_index = at[:, None] + border - _counted(size, at)
+        along.append(torch.div(reached_index, step, rounding_mode="floor"))
+        even.append(along[-1] * step == reached_index)
     cells = _cells(frame, along, out_shape, even)
     reached = torch.unique(cells)[int(bool((cells < 0).any())) :]
-    frame, *place = decode_keys(reached, out_shape).unbind(1)
-    given = zip(place, kernel, stride, padding, strict=True)
-    under = [at[:, None] * step - border + _counted(size, at) for at, size, step, border in given]
+    frame, *indices = decode_keys(reached, out_shape).unbind(1)
+    axes = zip(indices, kernel, stride, padding, strict=True)
+    under = [at[:, None] * step - border + _counted(size, at) for at, size, step, border in axes]
     table = _rows_under_kernel(keys, frame, under, shape)
     return DeviceBook(keys, reached, out_shape, table, None, shape, lambda: (_rows_of_keys(reached, cells), None))
 
@@ -285,8 +285,8 @@ def _cells(frame: Tensor, along: Sequence[Tensor], shape: Triple, fits: Sequence
     z, x, y = along
     planes = (frame[:, None] * shape[0] + z)[:, :, None] * shape[1] + x[:, None]
     keys = planes[..., None] * shape[2] + y[:, None, None]
-    there = inside[0][:, :, None, None] & inside[1][:, None, :, None] & inside[2][:, None, None]
-    return torch.where(there, keys, -1).flatten(1)
+    inside_all = inside[0][:, :, None, None] & inside[1][:, None, :, None] & inside[2][:, None, None]
+    return torch.where(inside_all, keys, -1).flatten(1)
 
 
 def _rows_under_kernel(keys: Tensor, frame: Tensor, along: Sequence[Tensor], shape: Triple) -> Tensor:
@@ -294,9 +294,9 @@ def _rows_under_kernel(keys: Tensor, frame: Tensor, along: Sequence[Tensor], sha
     return _rows_of_keys(keys, _cells(frame, along, shape))
 
 
-def _rows_of_keys(keys: Tensor, wanted: Tensor) -> Tensor:
+def _rows_of_keys(keys: Tensor, queries: Tensor) -> Tensor:
     """Row of each wanted key, ``len(keys)`` where it is not among them, int32."""
     if len(keys) == 0:
-        return torch.zeros_like(wanted, dtype=torch.int32)
-    row = torch.searchsorted(keys, wanted.contiguous(), out_int32=True).clamp_(max=len(keys) - 1)
-    return torch.where(keys[row] == wanted, row, len(keys))
+        return torch.zeros_like(queries, dtype=torch.int32)
+    row = torch.searchsorted(keys, queries.contiguous(), out_int32=True).clamp_(max=len(keys) - 1)
+    return torch.where(keys[row] == queries, row, len(keys))

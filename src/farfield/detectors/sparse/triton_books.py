@@ -62,7 +62,7 @@ def _rows_kernel(  # type: ignore[no-untyped-def]
     element = tl.arange(0, wide)
     row_in, element_in = row < count, element < size
     real = row_in[:, None] & element_in[None, :]
-    wanted = _met(
+    query = _met(
         sought, offsets, row, row_in, element, element_in, z_size, x_size, y_size, z_there, x_there, y_there,
         z_step, x_step, y_step, back,
     )  # fmt: skip
@@ -71,15 +71,15 @@ def _rows_kernel(  # type: ignore[no-untyped-def]
     for _ in range(halvings):
         middle = (low + high) // 2
         undecided = low < high
-        less = tl.load(keys + middle, mask=undecided, other=0) < wanted
+        less = tl.load(keys + middle, mask=undecided, other=0) < query
         low = tl.where(undecided & less, middle + 1, low)
         high = tl.where(undecided & (less == 0), middle, high)
     there = tl.load(keys + low, mask=low < known, other=-2)
-    found = real & (there == wanted)
-    place = row.to(tl.int64)[:, None] * size + element[None, :]
-    tl.store(table + place, tl.where(found, low, known), mask=real)
+    hit = real & (there == query)
+    entry = row.to(tl.int64)[:, None] * size + element[None, :]
+    tl.store(table + entry, tl.where(hit, low, known), mask=real)
     bit = tl.full((1, wide), 1, tl.int64) << (element % bits).to(tl.int64)[None, :]
-    tl.store(met + row, tl.sum(tl.where(found, bit, 0), axis=1), mask=row_in)
+    tl.store(met + row, tl.sum(tl.where(hit, bit, 0), axis=1), mask=row_in)
 
 
 @jit

@@ -32,27 +32,27 @@ def _gather_product_kernel(  # type: ignore[no-untyped-def]
     total = tl.zeros((block_rows, block_out), dtype=tl.float32)
     for element in range(size):
         source = tl.load(table + row.to(tl.int64) * size + element, mask=row_in, other=none)
-        found = source < none
-        if tl.max(found.to(tl.int32), axis=0) > 0:
+        occupied = source < none
+        if tl.max(occupied.to(tl.int32), axis=0) > 0:
             for start in range(0, c_in, block_in):
                 channel = start + tl.arange(0, block_in)
-                there = found[:, None] & (channel < c_in)[None, :]
+                there = occupied[:, None] & (channel < c_in)[None, :]
                 left = tl.load(features + source.to(tl.int64)[:, None] * c_in + channel[None, :], mask=there, other=0.0)
-                place = (element * c_in + channel)[:, None] * c_out + column[None, :]
-                right = tl.load(weight + place, mask=(channel < c_in)[:, None] & column_in[None, :], other=0.0)
+                entry = (element * c_in + channel)[:, None] * c_out + column[None, :]
+                right = tl.load(weight + entry, mask=(channel < c_in)[:, None] & column_in[None, :], other=0.0)
                 total += tl.dot(left, right, input_precision="ieee")
     if biased:
         total += tl.load(bias + column, mask=column_in, other=0.0).to(tl.float32)[None, :]
     target = row.to(tl.int64)
     if ordered:
         target = tl.load(order + row, mask=row_in, other=0).to(tl.int64)
-    place = target[:, None] * c_out + column[None, :]
+    entry = target[:, None] * c_out + column[None, :]
     real = row_in[:, None] & column_in[None, :]
     if residual:
-        total += tl.load(added + place, mask=real, other=0.0).to(tl.float32)
+        total += tl.load(added + entry, mask=real, other=0.0).to(tl.float32)
     if relu:
         total = tl.maximum(total, 0.0)
-    tl.store(out + place, total.to(out.dtype.element_ty), mask=real)
+    tl.store(out + entry, total.to(out.dtype.element_ty), mask=real)
 
 
 @jit
@@ -71,16 +71,16 @@ def _weight_gradient_kernel(  # type: ignore[no-untyped-def]
         row = part * share + start + tl.arange(0, block_rows)
         row_in = row < count
         source = tl.load(table + row.to(tl.int64) * size + element, mask=row_in, other=none)
-        found = source < none
-        if tl.max(found.to(tl.int32), axis=0) > 0:
+        occupied = source < none
+        if tl.max(occupied.to(tl.int32), axis=0) > 0:
             target = tl.load(order + row, mask=row_in, other=0).to(tl.int64)
-            there = channel_in[:, None] & found[None, :]
+            there = channel_in[:, None] & occupied[None, :]
             left = tl.load(features + source.to(tl.int64)[None, :] * c_in + channel[:, None], mask=there, other=0.0)
-            there = found[:, None] & column_in[None, :]
+            there = occupied[:, None] & column_in[None, :]
             right = tl.load(gradient + target[:, None] * c_out + column[None, :], mask=there, other=0.0)
             total += tl.dot(left, right, input_precision="ieee")
-    place = ((part * size + element) * c_in + channel).to(tl.int64)[:, None] * c_out + column[None, :]
-    tl.store(partial + place, total, mask=channel_in[:, None] & column_in[None, :])
+    entry = ((part * size + element) * c_in + channel).to(tl.int64)[:, None] * c_out + column[None, :]
+    tl.store(partial + entry, total, mask=channel_in[:, None] & column_in[None, :])
 
 
 def gather_product(

@@ -88,9 +88,15 @@ class BoxesOfClasses:
         names, (nx, ny) = self.classes, self.shape
         kind = np.array([names.index(name) if name in names else -1 for name in boxes.label], dtype=np.int64)
         x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1] - self.y_min_m
-        here = (kind >= 0) & (x >= 0) & (x < nx * self.cell_m) & (y >= 0) & (y < ny * self.cell_m)
-        kept = boxes[here]
-        return CentreTargets(kept.centre_m, kept.size_m, kept.yaw_rad, kind[here], range_weights(kept, self.far_weight))
+        on_map = (kind >= 0) & (x >= 0) & (x < nx * self.cell_m) & (y >= 0) & (y < ny * self.cell_m)
+        on_map_boxes = boxes[on_map]
+        return CentreTargets(
+            on_map_boxes.centre_m,
+            on_map_boxes.size_m,
+            on_map_boxes.yaw_rad,
+            kind[on_map],
+            range_weights(on_map_boxes, self.far_weight),
+        )
 
 
 class BoxTensors(NamedTuple):
@@ -375,28 +381,28 @@ class CentreHead(nn.Module):
 
     def decode(self, maps: CentreMaps) -> list[Boxes]:
         """The boxes of each frame after suppression, best first."""
-        found = self.found(maps)
+        candidates = self.peak_boxes(maps)
         if maps.logits.is_cuda:
-            return self.boxes_there(*found, maps.frames)
-        rows, score, kind, frame = (part.cpu().numpy() for part in found)
+            return self.boxes_on_device(*candidates, maps.frames)
+        rows, score, kind, frame = (part.cpu().numpy() for part in candidates)
         return [self._frame(rows[frame == i], score[frame == i], kind[frame == i]) for i in range(maps.frames)]
 
-    def found(self, maps: CentreMaps) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def peak_boxes(self, maps: CentreMaps) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The boxes at all peaks, rows (n, 7) float64, their scores, classes and frames, each of shape (n,)."""
         logits = maps.logits.float()
-        high = logits >= logit(self.config.score_threshold)
-        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & high
+        confident = logits >= logit(self.config.score_threshold)
+        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & confident
         row, kind = passed.nonzero().unbind(1)
         frame, place_m = self.places_m(maps.keys[row])
         rows = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
         return rows, torch.sigmoid(logits[row, kind].double()), kind, frame
 
-    def boxes_there(self, rows: Tensor, score: Tensor, kind: Tensor, frame: Tensor, frames: int) -> list[Boxes]:
-        """The boxes of each frame after suppression on the device that they are on; arguments as :meth:`found` has."""
+    def boxes_on_device(self, rows: Tensor, score: Tensor, kind: Tensor, frame: Tensor, frames: int) -> list[Boxes]:
+        """The boxes of each frame after suppression on their device; arguments as :meth:`peak_boxes` returns them."""
         boxes = []
         for number in range(frames):
-            mine = (frame == number).nonzero().squeeze(1)
-            best = mine[torch.sort(score[mine], descending=True, stable=True).indices[: self.config.candidates]]
+            of_frame = (frame == number).nonzero().squeeze(1)
+            best = of_frame[torch.sort(score[of_frame], descending=True, stable=True).indices[: self.config.candidates]]
             boxes.append(
                 boxes_after_nms(
                     rows[best],
@@ -418,9 +424,9 @@ class CentreHead(nn.Module):
         return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
 
 
-def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], reach: int) -> Tensor:
-    """Where no occupied cell within ``reach`` steps is hotter, a class each, shape (n, classes), bool."""
-    side = range(-reach, reach + 1)
+def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], radius: int) -> Tensor:
+    """Where no occupied cell within ``radius`` steps is hotter, a class each, shape (n, classes), bool."""
+    side = range(-radius, radius + 1)
     around = [(0, dx, dy) for dx, dy in product(side, side) if (dx, dy) != (0, 0)]
     table = neighbour_table(keys, keys, (1, *shape), around).long()
     padded = torch.cat([logits, logits.new_full((1, logits.shape[1]), -torch.inf)])

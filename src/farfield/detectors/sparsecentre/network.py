@@ -129,16 +129,18 @@ class SparseCentre(MapDetector):
         """Voxels, sparse encoder, pyramid, diffusion and refinement; ``aux`` holds votes and heights for the head."""
         config = self.config
         read = {"columns": config.columns, "positions": config.positions}
+        # Voxels, and the sparse 3D encoder; heights are summed to a bird's-eye map of occupied cells.
         voxels = mean_voxels(batch["points"], config.grid, config.multiple, **read)
-        flat = merge_heights(self.to_map(self.encoder(voxels.replace(in_type_of(self.encoder, voxels.features)))))
-        flat = self.pyramid(flat)
-        diffused = self.diffusion(flat, self._heights_m(voxels, flat.keys))
+        bev = merge_heights(self.to_map(self.encoder(voxels.replace(in_type_of(self.encoder, voxels.features)))))
+        bev = self.pyramid(bev)
+        # Occupied cells of an object make the cell at its centre occupied.
+        diffused = self.diffusion(bev, self._heights_m(voxels, bev.keys))
         refined = self.refine(diffused.sparse)
         return FeatureMap(
             values=refined,
             cell_m=self.head.cell_m,
             origin_m=(0.0, self.head.y_min_m),
-            aux={"votes": flat.replace(diffused.votes), "height_m": refined.replace(diffused.height_m[:, None])},
+            aux={"votes": bev.replace(diffused.votes), "height_m": refined.replace(diffused.height_m[:, None])},
         )
 
     def _heights_m(self, voxels: SparseTensor, keys: Tensor) -> Tensor:
@@ -238,12 +240,12 @@ class SparsePyramid(nn.Module):
 
     def forward(self, sparse: SparseTensor) -> SparseTensor:
         """Map to map of the same cells."""
-        kept = [cast(SparseTensor, self.levels[0](sparse))]
+        levels = [cast(SparseTensor, self.levels[0](sparse))]
         for down, level in zip(self.down, self.levels[1:], strict=True):
-            kept.append(level(down(kept[-1])))
-        sparse = kept.pop()
+            levels.append(level(down(levels[-1])))
+        sparse = levels.pop()
         for up, smooth in zip(reversed(self.up), reversed(self.smooth), strict=True):
-            fine = kept.pop()
+            fine = levels.pop()
             sparse = smooth(fine.replace(fine.features + up(sparse).features))
         return sparse
 
@@ -324,14 +326,14 @@ class CentreDiffusion(nn.Module):
         for start, end in pairwise(edges):
             best = torch.topk(score[start:end], min(self.least, end - start)).indices
             chosen[start + best] = True
-        place = torch.stack([ix, iy], 1) + 0.5 + steps
-        cell = torch.floor(place.detach()).long()
+        target = torch.stack([ix, iy], 1) + 0.5 + steps
+        cell = torch.floor(target.detach()).long()
         chosen &= (cell[:, 0] >= 0) & (cell[:, 0] < nx) & (cell[:, 1] >= 0) & (cell[:, 1] < ny)
         rows = chosen.nonzero().squeeze(1)
-        return rows, ((frame * nx + cell[:, 0]) * ny + cell[:, 1])[rows], (place - cell - 0.5)[rows]
+        return rows, ((frame * nx + cell[:, 0]) * ny + cell[:, 1])[rows], (target - cell - 0.5)[rows]
 
 
-def means_at(values: Tensor, place: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def means_at(values: Tensor, group: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Mean of the rows that fall to each place, zero where none does.
 
     Sums are of float64, where those of float32 numbers near one another are exact, so that the order of a GPU's
@@ -339,14 +341,14 @@ def means_at(values: Tensor, place: Tensor, count: int) -> tuple[Tensor, Tensor]
 
     Args:
         values: Rows, shape (n, ...).
-        place: Number of each row's place, shape (n,), int64.
+        group: Number of each row's place, shape (n,), int64.
         count: Number of places.
 
     Returns:
         The means, shape (count, ...), of the values' dtype, and whether rows fall there, shape (count,).
     """
-    total = values.new_zeros(count, *values.shape[1:], dtype=torch.float64).index_add(0, place, values.double())
-    rows = total.new_zeros(count).index_add(0, place, total.new_ones(len(place)))
+    total = values.new_zeros(count, *values.shape[1:], dtype=torch.float64).index_add(0, group, values.double())
+    rows = total.new_zeros(count).index_add(0, group, total.new_ones(len(group)))
     divisor = rows.clamp(min=1).reshape(-1, *[1] * (values.dim() - 1))
     return (total / divisor).to(values.dtype), rows > 0
 

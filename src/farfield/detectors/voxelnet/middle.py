@@ -86,8 +86,8 @@ class MiddleLayer(nn.Module):
         values = sparse_conv(sparse.features.to(dtype), conv.weight.to(dtype), book)
         with torch.autocast(device, enabled=False):
             ground = self._ground(field.background)
-            place, share = _places(book.keys, book.shape, sparse.batch_size, ground.shape[:3])
-            features, background = self._normalised(values, ground.flatten(0, 2), place, share)
+            ground_cell, share = _places(book.keys, book.shape, sparse.batch_size, ground.shape[:3])
+            features, background = self._normalised(values, ground.flatten(0, 2), ground_cell, share)
         difference = SparseTensor(features, book.keys, book.shape, sparse.batch_size, sparse.rulebooks)
         return Field(difference, background.view(ground.shape))
 
@@ -113,16 +113,16 @@ class MiddleLayer(nn.Module):
         volume = background.float().permute(3, 0, 1, 2)[None]
         return functional.conv3d(volume, weight, None, conv.stride, conv.padding)[0].permute(1, 2, 3, 0)
 
-    def _normalised(self, values: Tensor, ground: Tensor, place: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
+    def _normalised(self, values: Tensor, ground: Tensor, ground_cell: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
         norm, bias = self.norm, self.conv.bias
         if not isinstance(norm, nn.BatchNorm3d):
             one = torch.ones(ground.shape[1], device=ground.device)
             shift = torch.zeros_like(one) if bias is None else bias.float()
-            return _shifted_relu(values, ground, place, one, shift)
+            return _shifted_relu(values, ground, ground_cell, one, shift)
         if not norm.training:
-            return _shifted_relu(values, ground, place, *_affine(norm, norm.running_mean, norm.running_var))
-        out: tuple[Tensor, ...] = _NormRelu.apply(values, ground, norm.weight, norm.bias, place, share, norm.eps)
-        _update(norm, out[2], out[3], process_count() * (len(place) + float(share.sum())))
+            return _shifted_relu(values, ground, ground_cell, *_affine(norm, norm.running_mean, norm.running_var))
+        out: tuple[Tensor, ...] = _NormRelu.apply(values, ground, norm.weight, norm.bias, ground_cell, share, norm.eps)
+        _update(norm, out[2], out[3], process_count() * (len(ground_cell) + float(share.sum())))
         return out[0], out[1]
 
 
@@ -191,8 +191,8 @@ def _image(field: Field) -> Tensor:
     rows = background.to(features.dtype).permute(1, 2, 0, 3).reshape(sx, sy, depth * channels)
     column, row = border_cells(nx, sx, device), border_cells(ny, sy, device)
     b, iz, ix, iy = sparse.indices().unbind(1)
-    place = ((b * nx + ix) * ny + iy) * depth + iz
-    image: Tensor = _Spread.apply(rows, column, row, sparse.batch_size, features, place)
+    cell = ((b * nx + ix) * ny + iy) * depth + iz
+    image: Tensor = _Spread.apply(rows, column, row, sparse.batch_size, features, cell)
     return image.permute(0, 3, 1, 2)
 
 
@@ -201,18 +201,18 @@ class _Spread(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, rows: Tensor, column: Tensor, row: Tensor, batch_size: int, features: Tensor, place: Tensor
+        ctx: Any, rows: Tensor, column: Tensor, row: Tensor, batch_size: int, features: Tensor, cell: Tensor
     ) -> Tensor:
-        ctx.save_for_backward(column, row, place)
+        ctx.save_for_backward(column, row, cell)
         ctx.small, ctx.channels = rows.shape, features.shape[1]
         image = rows.index_select(0, column).index_select(1, row)[None]
         image = image if batch_size == 1 else image.repeat(batch_size, 1, 1, 1)
-        image.view(-1, ctx.channels).index_add_(0, place, features)
+        image.view(-1, ctx.channels).index_add_(0, cell, features)
         return image
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        column, row, place = ctx.saved_tensors
+        column, row, cell = ctx.saved_tensors
         sx, sy, width = ctx.small
         gradient = gradients[0].contiguous()
         # Sums of half a million bfloat16 numbers: a matrix product adds them up in float32.
@@ -220,7 +220,7 @@ class _Spread(torch.autograd.Function):
         sums = (along_y @ gradient.flatten(0, 1)).view(len(gradient), len(column), sy * width).float().sum(0)
         along_x = functional.one_hot(column, sx).t().float()
         to_rows = (along_x @ sums).view(sx, sy, width).to(gradient.dtype)
-        return to_rows, None, None, None, gradient.view(-1, ctx.channels).index_select(0, place), None
+        return to_rows, None, None, None, gradient.view(-1, ctx.channels).index_select(0, cell), None
 
 
 def _places(keys: Tensor, shape: Triple, batch_size: int, small: torch.Size) -> tuple[Tensor, Tensor]:
@@ -228,10 +228,10 @@ def _places(keys: Tensor, shape: Triple, batch_size: int, small: torch.Size) -> 
     depth, sx, sy = small
     column, row = border_cells(shape[1], sx, keys.device), border_cells(shape[2], sy, keys.device)
     _, iz, ix, iy = decode_keys(keys, shape).unbind(1)
-    place = (iz * sx + column[ix]) * sy + row[iy]
+    ground_cell = (iz * sx + column[ix]) * sy + row[iy]
     cells = torch.outer(column.bincount(minlength=sx), row.bincount(minlength=sy)).flatten()
-    share = batch_size * cells.repeat(depth) - place.bincount(minlength=depth * sx * sy)
-    return place, share.double()
+    share = batch_size * cells.repeat(depth) - ground_cell.bincount(minlength=depth * sx * sy)
+    return ground_cell, share.double()
 
 
 def _affine(norm: nn.BatchNorm3d, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
@@ -240,12 +240,14 @@ def _affine(norm: nn.BatchNorm3d, mean: Tensor, variance: Tensor) -> tuple[Tenso
     return scale, norm.bias - mean * scale
 
 
-def _shifted_relu(values: Tensor, ground: Tensor, place: Tensor, scale: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+def _shifted_relu(
+    values: Tensor, ground: Tensor, ground_cell: Tensor, scale: Tensor, shift: Tensor
+) -> tuple[Tensor, Tensor]:
     """Normalise with known statistics, apply ReLU, and split into differences and background again."""
     level = ground * scale + shift
     background = torch.relu(level)
-    lifted = torch.addcmul(level.index_select(0, place), values.float(), scale)
-    return (torch.relu(lifted) - background.index_select(0, place)).to(values.dtype), background
+    lifted = torch.addcmul(level.index_select(0, ground_cell), values.float(), scale)
+    return (torch.relu(lifted) - background.index_select(0, ground_cell)).to(values.dtype), background
 
 
 @torch.no_grad()
@@ -262,35 +264,42 @@ class _NormRelu(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, values: Tensor, ground: Tensor, weight: Tensor, bias: Tensor, place: Tensor, share: Tensor, eps: float
+        ctx: Any,
+        values: Tensor,
+        ground: Tensor,
+        weight: Tensor,
+        bias: Tensor,
+        ground_cell: Tensor,
+        share: Tensor,
+        eps: float,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        count = len(place) + float(share.sum())
-        mean, variance, count = _over_processes(*_statistics(values, ground, place, share, count), count)
+        count = len(ground_cell) + float(share.sum())
+        mean, variance, count = _over_processes(*_statistics(values, ground, ground_cell, share, count), count)
         inverse = torch.rsqrt(variance + eps)
         scale = weight * inverse
         level = torch.addcmul(bias, ground - mean, scale)
         background = torch.relu(level)
         differences = torch.empty_like(values)
         for rows in _blocks(len(values)):
-            lifted = torch.addcmul(level.index_select(0, place[rows]), values[rows].float(), scale).relu_()
-            differences[rows] = lifted.sub_(background.index_select(0, place[rows]))
-        ctx.save_for_backward(values, ground, weight, place, share, mean, inverse, level)
+            lifted = torch.addcmul(level.index_select(0, ground_cell[rows]), values[rows].float(), scale).relu_()
+            differences[rows] = lifted.sub_(background.index_select(0, ground_cell[rows]))
+        ctx.save_for_backward(values, ground, weight, ground_cell, share, mean, inverse, level)
         ctx.count = count
         ctx.mark_non_differentiable(mean, variance)
         return differences, background, mean, variance
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        values, ground, weight, place, share, mean, inverse, level = ctx.saved_tensors
+        values, ground, weight, ground_cell, share, mean, inverse, level = ctx.saved_tensors
         scale, steady = weight * inverse, (ground - mean) * inverse
         passed, received = torch.empty_like(values, dtype=torch.float32), torch.zeros_like(ground)
         to_weight, to_bias = torch.zeros_like(weight), torch.zeros_like(weight)
         for rows in _blocks(len(values)):
-            here, value, gradient = place[rows], values[rows].float(), gradients[0][rows].float()
-            received.index_add_(0, here, gradient)
-            part = torch.mul(gradient, torch.addcmul(level.index_select(0, here), value, scale) > 0, out=passed[rows])
+            cell, value, gradient = ground_cell[rows], values[rows].float(), gradients[0][rows].float()
+            received.index_add_(0, cell, gradient)
+            part = torch.mul(gradient, torch.addcmul(level.index_select(0, cell), value, scale) > 0, out=passed[rows])
             to_bias += part.sum(0)
-            to_weight += torch.addcmul(steady.index_select(0, here), value, inverse).mul_(part).sum(0)
+            to_weight += torch.addcmul(steady.index_select(0, cell), value, inverse).mul_(part).sum(0)
         to_level = (gradients[1] - received) * (level > 0)
         to_bias += to_level.sum(0)
         to_weight += (to_level * steady).sum(0)
@@ -298,24 +307,26 @@ class _NormRelu(torch.autograd.Function):
         to_ground = scale * (to_level - share[:, None].float() * (lift + steady * tilt))
         to_values = torch.empty_like(values)
         for rows in _blocks(len(values)):
-            here = place[rows]
-            part = passed[rows].sub_((lift + steady * tilt).index_select(0, here))
+            cell = ground_cell[rows]
+            part = passed[rows].sub_((lift + steady * tilt).index_select(0, cell))
             part.addcmul_(values[rows].float(), -inverse * tilt)
             part.mul_(scale)
-            to_ground.index_add_(0, here, part)
+            to_ground.index_add_(0, cell, part)
             to_values[rows] = part
         return to_values, to_ground, to_weight, to_bias, None, None, None
 
 
-def _statistics(values: Tensor, ground: Tensor, place: Tensor, share: Tensor, count: float) -> tuple[Tensor, Tensor]:
+def _statistics(
+    values: Tensor, ground: Tensor, ground_cell: Tensor, share: Tensor, count: float
+) -> tuple[Tensor, Tensor]:
     """Mean and biased variance of ground + values at the reached cells and ground at all others, shape (c,) each."""
-    cells = share + place.bincount(minlength=len(ground))
+    cells = share + ground_cell.bincount(minlength=len(ground))
     pivot = (cells @ ground.double() / count).float()  # sums of small numbers: nearly every cell is near it
     above = ground - pivot
     first = share @ above.double()
     second = share @ above.double().square()
     for rows in _blocks(len(values)):
-        part = above.index_select(0, place[rows]).add_(values[rows])
+        part = above.index_select(0, ground_cell[rows]).add_(values[rows])
         first += part.sum(0)
         second += part.square_().sum(0)
     shift = first / count
@@ -326,10 +337,10 @@ def _over_processes(mean: Tensor, variance: Tensor, count: float) -> tuple[Tenso
     """Mean, variance and number of the cells of all processes, from those of this one."""
     if process_count() == 1:
         return mean, variance, count
-    every = sum_over_processes(mean.new_tensor(count, dtype=torch.float64))
-    joined = sum_over_processes(mean.double() * count) / every
-    spread = sum_over_processes((variance.double() + (mean.double() - joined).square()) * count) / every
-    return joined.float(), spread.float(), float(every)
+    total = sum_over_processes(mean.new_tensor(count, dtype=torch.float64))
+    joined = sum_over_processes(mean.double() * count) / total
+    spread = sum_over_processes((variance.double() + (mean.double() - joined).square()) * count) / total
+    return joined.float(), spread.float(), float(total)
 
 
 def _blocks(length: int) -> list[slice]:

@@ -245,8 +245,8 @@ def grouped(points: Tensor, key: Tensor, limit: int) -> tuple[Tensor, Tensor, Te
     order = order[torch.argsort(key[order], stable=True)]
     keys, member, count = torch.unique_consecutive(key[order], return_inverse=True, return_counts=True)
     start = torch.cumsum(count, 0) - count
-    kept = torch.arange(len(key), device=key.device) - start[member] < limit
-    return points[order[kept]], keys, member[kept]
+    counted = torch.arange(len(key), device=key.device) - start[member] < limit
+    return points[order[counted]], keys, member[counted]
 
 
 def _hash(points: Tensor) -> Tensor:
