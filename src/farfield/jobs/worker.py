@@ -87,9 +87,6 @@ def _travelling(error: Exception) -> tuple[bytes, str]:
     return packed, text
 
 
-if __name__ == "__main__":
-    main()
-
 # Messages between a command and its own workers: pickles with their length before them, through pipes.
 
 _LENGTH = 8
@@ -138,3 +135,7 @@ def _bytes(pipe: IO[bytes] | FileIO, count: int) -> bytes:
             raise EOFError
         data += piece
     return bytes(data)
+
+
+if __name__ == "__main__":
+    main()
