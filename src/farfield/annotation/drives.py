@@ -59,7 +59,7 @@ class DriveTable:
         return float(drive.times_ns[located.row] - drive.times_ns[0]) / 1e9
 
     def pose(self, key: Key) -> Float[np.ndarray, "4 4"] | None:
-        """Pose of a frame in the world, or None; asked of the frame itself where the drive does not tell."""
+        """Pose of a frame in the world, or None; the frame's own where the drive has none."""
         located = self.locate(key)
         drive = self._drives.get(located.drive)
         if drive is not None and drive.world_T_frame is not None:

@@ -147,12 +147,12 @@ def standalone(static: Path, welcome: Welcome, frames: Sequence[FrameState], pay
     text = index.read_text("utf-8")
     script, style = _inlined(static, _SCRIPT, text), _inlined(static, _STYLE, text)
     script = re.sub(r"</(script)", r"<\\/\1", script, flags=re.IGNORECASE)
-    held = {
+    embedded = {
         "welcome": plain(welcome),
         "frames": [plain(frame) for frame in frames],
         "payloads": {url: base64.b64encode(gzip.compress(body, 6, mtime=0)).decode() for url, body in payloads.items()},
     }
-    data = json.dumps(held, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    data = json.dumps(embedded, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src blob: data:; "
         "base-uri 'none'; form-action 'none'"

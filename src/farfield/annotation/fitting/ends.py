@@ -175,7 +175,7 @@ def place_rectangle(
 def _stretch(
     hit_m: Float[np.ndarray, " 2"], gap_m: Float[np.ndarray, " 2"], prior: Prior, axis: int
 ) -> tuple[float, float] | None:
-    """Where an object begins and ends along an axis; None where nothing is told that the points do not tell."""
+    """Where an object begins and ends along an axis; None where only the points tell."""
     usual, covered = prior.size_m[axis], float(hit_m[1] - hit_m[0])
     spread = _FIXED_SPREAD_M if prior.fixed_size else _SPREAD[axis] * usual
     if not np.isfinite(gap_m).any() or covered + gap_m.sum() < usual - (_CERTAIN * spread if axis == 0 else np.inf):

@@ -107,7 +107,7 @@ class RadarTask:
     def residuals(self, now: Snapshot, frame: int, *, full: bool) -> Residuals:
         """Matched objects in range and azimuth; ``full`` makes no difference."""
         del full
-        pose, evidence = _pose(now.values), self._found()
+        pose, evidence = _pose(now.values), self._require_evidence()
         number = next((served.number for served in self.frames if served.index == frame), -1)
         lidar, radar = matches_of(evidence, pose, number)
         frame_pairs = tuple(
@@ -136,7 +136,7 @@ class RadarTask:
         del focal
         if how != "objects":
             raise ConfigError(f"calib.solve: a radar is solved by objects, got {how}")
-        calibration = calibrate_radar(self._found(), _pose(now.values), told=progress)
+        calibration = calibrate_radar(self._require_evidence(), _pose(now.values), told=progress)
         offsets = {calibration.pose.frames: 0.0} | calibration.rivals
         matches = int(calibration.residual["matches"])
         return CalibrationSolution(
@@ -169,7 +169,7 @@ class RadarTask:
             return ""
         return f"z is not saved: K-Radar's files have no place for it, and its reader takes {self.stored.z_m:g} m"
 
-    def _found(self) -> RadarEvidence:
+    def _require_evidence(self) -> RadarEvidence:
         if self.evidence is None:
             raise ConfigError("the frames are still being read")
         return self.evidence
@@ -177,7 +177,7 @@ class RadarTask:
     def _by_hand(self, pose: RadarPose) -> RadarCalibration:
         """Values set by hand, with the sigma that matched objects give, or else the one assumed before."""
         try:
-            calibration, _ = appraise_radar(self._found(), pose)
+            calibration, _ = appraise_radar(self._require_evidence(), pose)
         except DatasetError as error:
             return _unsupported(pose, str(error))
         return replace(calibration, notes=("set by hand", *calibration.notes))

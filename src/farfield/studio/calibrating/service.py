@@ -26,7 +26,7 @@ class CancelledError(Exception):
 
 
 class CalibrationError(ConfigError):
-    """What cannot be done now, with how to mend it.
+    """What cannot be done now, with what to do about it.
 
     Args:
         code: A word for the page.

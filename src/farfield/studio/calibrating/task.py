@@ -50,8 +50,8 @@ def camera_of(values: CameraValues, start: Camera) -> Camera:
         start: The camera from which moves are counted.
     """
     matrix = np.array([[values.fx, 0.0, values.cx], [0.0, values.fy, values.cy], [0.0, 0.0, 1.0]])
-    there = moved(start, np.array(values.moved, dtype=np.float64))
-    return replace(there, matrix=matrix, distortion=np.array(values.distortion, dtype=np.float64))
+    moved_camera = moved(start, np.array(values.moved, dtype=np.float64))
+    return replace(moved_camera, matrix=matrix, distortion=np.array(values.distortion, dtype=np.float64))
 
 
 def camera_values(camera: Camera, start: Camera) -> CameraValues:

@@ -1,4 +1,4 @@
-"""The messages of the calibration pages, ``calib.*``: what the page asks, and what it is told."""
+"""The messages of the calibration pages, ``calib.*``: what the page sends, and what it gets."""
 
 from typing import Annotated, Literal
 
@@ -296,4 +296,4 @@ CalibRequest = (
 )
 """What a calibration page sends."""
 CalibReply = CalibState | CalibResidual | CalibSaved
-"""What it is told."""
+"""What it gets."""

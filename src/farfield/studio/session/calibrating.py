@@ -20,8 +20,8 @@ from farfield.studio.showing.opened import plain_error
 T = TypeVar("T")
 _NUMBERS = itertools.count(1)
 _STEPS = 1000
-_TOLD_S = 0.1
-"""Progress is told at most so often."""
+_REPORT_S = 0.1
+"""Progress is reported at most so often."""
 
 
 def _service(session: Session) -> CalibrationService:
@@ -40,7 +40,7 @@ def _ready(session: Session) -> CalibrationService:
 
 @handles(requests.CalibOpen)
 async def opened(session: Session, window: ClientWindow, request: requests.CalibOpen) -> None:
-    """Tell the calibration; the first time, read the frames as a job."""
+    """Send the calibration; the first time, read the frames as a job."""
     service = _service(session)
     window.send(service.state(request.id))
     if service.ready or service.job is not None:
@@ -56,7 +56,7 @@ def _prepare(service: CalibrationService, progress: Callable[[float], None]) -> 
 
 @handles(requests.CalibMatch)
 async def residuals(session: Session, window: ClientWindow, request: requests.CalibMatch) -> None:
-    """Tell the residuals of some values."""
+    """Send the residuals of some values."""
     service = _ready(session)
     session.opened.check(request.frame)
     values = service.values_of(request.radar, request.camera)
@@ -65,8 +65,8 @@ async def residuals(session: Session, window: ClientWindow, request: requests.Ca
 
 async def _residuals(session: Session, window: ClientWindow, request: requests.CalibMatch, values: object) -> None:
     service, started = _ready(session), time.monotonic()
-    there = replace(service.now, values=values)  # type: ignore[arg-type]
-    work = partial(service.task.residuals, there, request.frame, full=request.full)
+    snapshot = replace(service.now, values=values)  # type: ignore[arg-type]
+    work = partial(service.task.residuals, snapshot, request.frame, full=request.full)
     residuals = await session.in_thread(work)
     spent = round(1e3 * (time.monotonic() - started), 1)
     window.send(CalibResidual(id=request.id, frame=request.frame, residuals=residuals, milliseconds=spent))
@@ -173,7 +173,7 @@ def _start(session: Session, window: ClientWindow, name: str, message: str, work
 
 
 async def _run(session: Session, service: CalibrationService, job: Job, work: Work) -> None:
-    """Run a job with progress, and take what it finds; all windows are told."""
+    """Run a job with progress, and take its solution; all windows hear of it."""
     progress = _Progress(session, service, job)
     try:
         solution = await session.in_thread(partial(work, progress.step))
@@ -195,20 +195,20 @@ async def _run(session: Session, service: CalibrationService, job: Job, work: Wo
 
 
 class _Progress:
-    """Tells the windows how far a job is, from the thread in which it runs."""
+    """Reports to the windows how far a job is, from the thread in which it runs."""
 
     def __init__(self, session: Session, service: CalibrationService, job: Job) -> None:
         self.session, self.known, self.job = session, service, job
         self._loop = asyncio.get_running_loop()
-        self._told = self._began = time.monotonic()
+        self._reported_s = self._began_s = time.monotonic()
 
     def step(self, share: float) -> None:
         """What a solver calls with the share that is done."""
         self.known.go_on()
         now = time.monotonic()
-        if now - self._told < _TOLD_S:
+        if now - self._reported_s < _REPORT_S:
             return
-        self._told = now
-        left = (now - self._began) * (1 - share) / share if share > 0.02 else None
+        self._reported_s = now
+        left = (now - self._began_s) * (1 - share) / share if share > 0.02 else None
         steps, eta = round(_STEPS * share), None if left is None else round(left, 1)
         self._loop.call_soon_threadsafe(self.session.broadcast, replace(self.job, done=steps, eta_s=eta))

@@ -29,10 +29,10 @@ def offered(settings: StudioSettings) -> tuple[DetectorRow, ...]:
         return ()
     from farfield.detectors.catalogue import catalogue
 
-    chosen = [DetectorRow(name=name, title=Path(name).name) for name in settings.detectors]
-    names = {row.name for row in chosen}
+    named = [DetectorRow(name=name, title=Path(name).name) for name in settings.detectors]
+    names = {row.name for row in named}
     shipped = (name for entry in catalogue() for name in (entry.weights, *entry.further))
-    return (*chosen, *(DetectorRow(name=name, title=name) for name in shipped if name and name not in names))
+    return (*named, *(DetectorRow(name=name, title=name) for name in shipped if name and name not in names))
 
 
 def _jobs(session: Session) -> Jobs:

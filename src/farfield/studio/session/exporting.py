@@ -93,8 +93,8 @@ def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], p
     session = Session(settings)
     try:
         session.open(data)
-        chosen = tuple(first_of(frame, data) for frame in frames or ("",))
-        write_text(path, page_of(session, ClientWindow(id="file", annotator="", threshold=settings.threshold), chosen))
+        indices = tuple(first_of(frame, data) for frame in frames or ("",))
+        write_text(path, page_of(session, ClientWindow(id="file", annotator="", threshold=settings.threshold), indices))
     finally:
         session.threads.end()
         session.exports.close()

@@ -26,16 +26,16 @@ DIFFERENCES = "differences"
 
 
 def encode_cloud(cloud: Cloud, facts: Mapping[str, Any]) -> bytes:
-    """A point cloud; returns without a place (not finite, or all three coordinates 0) are left out.
+    """A point cloud; invalid returns (not finite, or all three coordinates 0) are left out.
 
     Args:
         cloud: The points.
         facts: What else the header says: ``frame``, ``layer``, ``time_ns``, ``version``.
     """
-    cloud = _placed(cloud)
-    places, scale_m = _places(cloud)
+    cloud = _valid_returns(cloud)
+    quantised, scale_m = _quantised(cloud)
     arrays: dict[str, tuple[np.ndarray, dict[str, Any]]] = {
-        "place": (_differences(places), {"type": "int16", "items": places.shape[1], "coding": DIFFERENCES})
+        "place": (_differences(quantised), {"type": "int16", "items": quantised.shape[1], "coding": DIFFERENCES})
     }
     for name in cloud.columns[3:]:
         shown, values = _shown(name, np.asarray(cloud.intensity if name == "intensity" else cloud.extra[name]))
@@ -68,25 +68,25 @@ def as_bytes(values: Float[np.ndarray, " n"], low: float, high: float) -> tuple[
     return np.clip(np.nan_to_num(steps, nan=0.0), 0, _STEPS).astype(np.uint8), low, low + span
 
 
-def _placed(cloud: Cloud) -> Cloud:
-    """The returns that have a place. Columns are asked, not rows of three: that is several times as fast."""
+def _valid_returns(cloud: Cloud) -> Cloud:
+    """The returns that have a place. Columns are compared, not rows of three: that is several times as fast."""
     x, y, z = cloud.points_m.T
-    there = (x != 0) | (y != 0) | (z != 0)
+    valid = (x != 0) | (y != 0) | (z != 0)
     finite = np.isfinite(cloud.points_m)
     if not finite.all():
-        there &= finite.all(axis=1)
-    return cloud if there.all() else cloud[there]
+        valid &= finite.all(axis=1)
+    return cloud if valid.all() else cloud[valid]
 
 
-def _places(cloud: Cloud) -> tuple[Int16[np.ndarray, "n 4"], float]:
+def _quantised(cloud: Cloud) -> tuple[Int16[np.ndarray, "n 4"], float]:
     reach_m = float(np.abs(cloud.points_m).max()) if len(cloud) else 0.0
     scale_m = _FINEST_M
     while reach_m / scale_m > 32767:
         scale_m *= 2
-    places = np.zeros((len(cloud), 4), dtype="<i2")
-    places[:, :3] = np.rint(cloud.points_m * np.float32(1 / scale_m))
-    places[:, 3] = _spare(cloud)
-    return places, scale_m
+    quantised = np.zeros((len(cloud), 4), dtype="<i2")
+    quantised[:, :3] = np.rint(cloud.points_m * np.float32(1 / scale_m))
+    quantised[:, 3] = _spare(cloud)
+    return quantised, scale_m
 
 
 def _differences(places: Int16[np.ndarray, "n c"]) -> UInt8[np.ndarray, " 2*n*c"]:
