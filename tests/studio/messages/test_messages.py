@@ -2,13 +2,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 pytest.importorskip("pydantic")
 from farfield.errors import ConfigError
 from farfield.studio.messages.replies import Ack, Job, write_reply
-from farfield.studio.messages.requests import BoxSet, read_request
+from farfield.studio.messages.requests import BoxSet, Hello, Request, read_request
 
 VALUE = {"box": [10, 2.5, 0.8, 4.6, 1.9, 1.7, 0.3], "class_name": "vehicle", "track": 3}
 SET = {"op": "box.set", "id": "w1-1", "frame": 0, "box": "b1", "base": 2, "value": VALUE}
@@ -76,3 +77,12 @@ def test_the_page_has_the_types_of_today():
     types = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     stored = (root / "web" / "src" / "protocol.ts").read_text()
     assert stored == types, "run: python tools/page_protocol.py > web/src/protocol.ts"
+
+
+def test_every_message_but_the_first_has_a_handler():
+    pytest.importorskip("starlette")
+    from farfield.studio.serving.app import HANDLER_MODULES
+    from farfield.studio.session.session import HANDLERS
+
+    assert len(HANDLER_MODULES) == 5
+    assert set(HANDLERS) == {*get_args(get_args(Request)[0])} - {Hello}
