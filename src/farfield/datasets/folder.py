@@ -32,7 +32,7 @@ from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
-from farfield.frame import Annotation, Boxes, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame import Annotation, Boxes, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES, columns_shown, read_cloud
 
 TABLE_NAME = "labels.csv"
@@ -132,10 +132,6 @@ def _read_annotation(path: Path, classes: Mapping[str, str]) -> Annotation:
     return renamed(Annotation(boxes=read_boxes(path)), classes)
 
 
-def _same(annotation: Annotation) -> Annotation:
-    return annotation
-
-
 def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
     """The boxes of a sequence by frame, from a table of boxes.
 
@@ -176,7 +172,7 @@ class Folder(Dataset):
     Args:
         root: The folder.
         mapping: A file that renames classes; None takes ``mapping.yaml`` in the folder, if it is there.
-        bin_columns: Numbers a point in ``.bin`` files; None takes what the largest of the first ones shows.
+        bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
         intensity_scale: Value that stands for full reflectance; None decides for each file.
 
     Raises:
@@ -272,7 +268,7 @@ class Folder(Dataset):
         path, listed = self._beside(index, _BOX_FOLDERS, [".json"]), self._table.get(self.frame_ids[index])
         if path is not None:
             return partial(_read_annotation, path, self.classes)
-        return None if listed is None else partial(_same, renamed(Annotation(boxes=listed), self.classes))
+        return None if listed is None else Constant(renamed(Annotation(boxes=listed), self.classes))
 
     def has_annotation(self, index: int) -> bool:
         """Whether boxes stand beside frame ``index``."""

@@ -156,7 +156,7 @@ VIEW_OF_DELFT = Format(
 )
 TJ4DRADSET = Format(
     name="tj4dradset",
-    looked_for="training/velodyne/*.bin, eight numbers a point of which the fifth is the range",
+    looked_for="training/velodyne/*.bin, eight columns of which the fifth is the range",
     recognises=is_tj4dradset,
     reader="farfield.datasets.kitti.object:Tj4dRadSet",
 )

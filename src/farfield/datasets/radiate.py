@@ -131,6 +131,7 @@ class Radiate(Dataset):
         sequence, paths = self.sequences[index], self._paths(index)
         tracks, meta = self._annotated(sequence), read_meta(self.folders[sequence] / "meta.json")
         number = int(self.frame_ids[index])
+        scene = meta.get("type", "")
         clouds: dict[str, Callable[[], Cloud]] = {}
         if "polar" in paths:
             clouds["radar"] = partial(radar_cloud, paths["polar"][0], self.radar_share)
@@ -145,7 +146,7 @@ class Radiate(Dataset):
             images=Lazy({name: partial(read_image, path) for name, (path, _) in images.items()}),
             sensors=_sensors(paths, self._time_ns(index)),
             load_annotation=None if tracks is None else partial(annotation_of, tracks.of_frame(number), self.classes),
-            conditions=_conditions(meta),
+            conditions={_SCENES.get(scene, "road"): scene} if scene else {},
             radar=Lazy({name: partial(read_picture, paths[name][0], name) for name in _PICTURES if name in paths}),
             reference="radar",
             metadata={
@@ -211,11 +212,6 @@ def read_meta(path: Path) -> dict[str, str]:
     if not isinstance(meta, dict):
         raise FileFormatError(path, where="the file", expected="a JSON object", found=type(meta).__name__)
     return {str(key): str(value) for key, value in meta.items()}
-
-
-def _conditions(meta: Mapping[str, str]) -> dict[str, str]:
-    scene = meta.get("type", "")
-    return {_SCENES.get(scene, "road"): scene} if scene else {}
 
 
 def read_picture(path: Path, name: str) -> Float32[np.ndarray, "height width"]:

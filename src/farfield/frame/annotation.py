@@ -120,7 +120,10 @@ class Annotation:
 
     def __getitem__(self, rows: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | Sequence[int]) -> "Annotation":
         """Some of the boxes with all that is known of them: by slice, mask or indices."""
-        index = np.arange(len(self))[rows if isinstance(rows, slice) else _index(rows)]
+        if not isinstance(rows, slice):
+            rows = np.asarray(rows)
+            rows = rows.astype(np.intp) if rows.size == 0 and rows.dtype != bool else rows
+        index = np.arange(len(self))[rows]
         return replace(
             self,
             boxes=self.boxes[index],
@@ -148,8 +151,3 @@ class Annotation:
             unboxed=unboxed,
             region=None if self.region is None else self.region.moved(target_T_frame),
         )
-
-
-def _index(rows: Any) -> np.ndarray:
-    index = np.asarray(rows)
-    return index.astype(np.intp) if index.size == 0 and index.dtype != bool else index

@@ -245,7 +245,7 @@ def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: f
 
     Args:
         path: The file.
-        bin_columns: Numbers a point in ``.bin`` files; None decides by the numbers themselves.
+        bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
         intensity_scale: Value that stands for full reflectance; None takes the smallest of 1, 255 and 65535 that
             covers the file.
 
@@ -292,7 +292,7 @@ def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
 
 
 def columns_shown(paths: Sequence[Path]) -> int | None:
-    """Numbers a point that the largest of some ``.bin`` files shows, None where it shows none: see ``bin_columns``."""
+    """Columns that the largest of some ``.bin`` files shows, None where it shows none: see ``bin_columns``."""
     from farfield.files.clouds import bin_columns as bin_columns_of
 
     sizes = [(path.stat().st_size, path) for path in paths if path.suffix == ".bin"]

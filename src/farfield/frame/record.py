@@ -124,10 +124,6 @@ def camera_sensor(camera: Camera | None, time_ns: int | None = None) -> Sensor:
     return Sensor(kind="camera", frame_T_sensor=pose, in_frame=False, time_ns=time_ns)
 
 
-def _kind_of(name: str, cloud: Cloud) -> Kind:
-    return "radar" if cloud.intensity is None and name.startswith("radar") else cloud.kind
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frame:
     """One moment of one drive: what the sensors gave, what was annotated, and how it was taken.
@@ -200,7 +196,10 @@ class Frame:
         if not named_clouds or (cloud is not None and clouds):
             raise ConfigError("Frame.of: expected one cloud, or clouds= with one or more by name; got none or both.")
         annotation = Annotation(boxes=boxes) if isinstance(boxes, Boxes) else boxes
-        sensors = {key: Sensor(kind=_kind_of(key, entry)) for key, entry in named_clouds.items()}
+        sensors = {
+            key: Sensor(kind="radar" if entry.intensity is None and key.startswith("radar") else entry.kind)
+            for key, entry in named_clouds.items()
+        }
         usual = {"sequence": "memory", "frame_id": "0", "reference": next(iter(sensors.values())).kind}
         load = None if annotation is None else Constant(annotation)
         return cls(clouds=named_clouds, load_annotation=load, **{**usual, "sensors": sensors, **rest})

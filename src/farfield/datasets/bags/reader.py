@@ -303,13 +303,10 @@ def load_cloud(
     """
     message = bag.at(topic, log_ns, index)
     columns = read_points(message, bag.path)
-    cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=_stamp(message, bag.path))
+    with guarded(bag.path, "a cloud's header"):
+        stamp_ns = int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+    cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=stamp_ns)
     return cloud if target_T_sensor is None else cloud.transform(target_T_sensor)
-
-
-def _stamp(message: Any, path: Path) -> int:
-    with guarded(path, "a cloud's header"):
-        return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def cloud_of(columns: Columns, path: Path | str, *, limit: float | None, stamp_ns: int) -> Cloud:

@@ -310,6 +310,7 @@ def _boxes(before: Boxes, labels: Sequence[BoxLabel | None], new: np.ndarray) ->
         table[row] = label.box
         names[row] = normalised_class(label.label, _ALIASES)
     counts = before.point_count
+    edited = np.array([label is not None for label in labels], dtype=bool)
     velocity = before.velocity_m_s
     return Boxes(
         centre_m=table[:, :3],
@@ -318,7 +319,7 @@ def _boxes(before: Boxes, labels: Sequence[BoxLabel | None], new: np.ndarray) ->
         label=[str(name) for name in names],
         score=None,
         track_id=_tracks(before.track_id, labels),
-        point_count=None if counts is None else _put(counts, changed, -1),
+        point_count=None if counts is None else np.where(edited, -1, counts),
         velocity_m_s=None if velocity is None else np.where(new[:, None], np.nan, velocity),
     )
 
@@ -333,12 +334,6 @@ def _tracks(before: Int[np.ndarray, " n"] | None, labels: Sequence[BoxLabel | No
             number = label.track if label.track.isascii() and label.track.isdigit() and len(label.track) < 18 else "-1"
             tracks[row] = int(number)
     return tracks
-
-
-def _put(values: np.ndarray, rows: Sequence[int], value: int) -> np.ndarray:
-    changed = values.copy()
-    changed[list(rows)] = value
-    return changed
 
 
 def _visibility(old: str, label: BoxLabel | None, new: bool | np.bool_) -> str:

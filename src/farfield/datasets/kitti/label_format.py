@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
 
 from farfield.datasets.kitti.boxes import boxes_from_objects, objects_from_boxes, sized_camera
 from farfield.datasets.kitti.object import Kitti
@@ -75,13 +74,9 @@ class KittiLabelFormat:
         return sized_camera(read_calib(calib), image)
 
 
-def _pose(camera: Camera) -> Float[np.ndarray, "4 4"]:
-    return camera.camera_T_lidar
-
-
 def _parts(data: bytes, path: Path, key: Key, camera: Camera) -> list[FileSpan]:
     objects = parse_labels(data, path)
-    boxes = boxes_from_objects(objects, _pose(camera), classes="kitti")
+    boxes = boxes_from_objects(objects, camera.camera_T_lidar, classes="kitti")
     rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
     boxed = objects[objects.has_box]
     by_line = {int(line): index for index, line in enumerate(boxed.line)}

@@ -44,7 +44,7 @@ class Kitti(Dataset):
         root: The folder with ``training`` or ``testing``, or one of those itself.
         part: ``"training"`` or ``"testing"``.
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
-        bin_columns: Numbers a point in the clouds; None takes what the largest of the first clouds shows, and KITTI's
+        bin_columns: Columns of the clouds; None takes what the largest of the first clouds shows, and KITTI's
             four where it does not show it.
 
     Raises:
@@ -80,7 +80,7 @@ class Kitti(Dataset):
         names = names_of(read_bin(self.clouds[0], columns=self.bin_columns))
         if "range_m" in names:
             raise DatasetError(
-                f"{self.clouds[0]}: expected a LiDAR's points, got a radar's: of {len(names)} numbers a point number "
+                f"{self.clouds[0]}: expected a LiDAR's points, got a radar's: of {len(names)} columns number "
                 f"{names.index('range_m') + 1} is its range. Open TJ4DRadSet with format=tj4dradset"
             )
 
@@ -289,8 +289,5 @@ def calibration_text(camera: Camera) -> str:
     projection = np.column_stack([camera.matrix, np.zeros(3)])
     matrices = {f"P{number}": projection for number in range(4)}
     matrices |= {"R0_rect": np.eye(3), "Tr_velo_to_cam": camera.camera_T_lidar[:3], "Tr_imu_to_velo": np.eye(4)[:3]}
-    return "".join(f"{name}: {_row(matrix)}\n" for name, matrix in matrices.items())
-
-
-def _row(matrix: Float[np.ndarray, "rows columns"]) -> str:
-    return " ".join(repr(value) for value in matrix.ravel().tolist())
+    rows = {name: " ".join(repr(value) for value in matrix.ravel().tolist()) for name, matrix in matrices.items()}
+    return "".join(f"{name}: {row}\n" for name, row in rows.items())

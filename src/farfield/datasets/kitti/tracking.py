@@ -37,7 +37,7 @@ class KittiTracking(Dataset):
         root: The folder with ``training`` or ``testing``, or one of those itself.
         part: ``"training"`` or ``"testing"``.
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
-        bin_columns: Numbers a point; None takes what the largest of the first clouds shows, and KITTI's four where it
+        bin_columns: Columns; None takes what the largest of the first clouds shows, and KITTI's four where it
             shows none.
 
     Raises:

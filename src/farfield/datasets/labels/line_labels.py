@@ -76,13 +76,11 @@ def replaced(
     out.append([])
     for key, added in left.items():
         out[last.get(key, -1)].extend(write(key, label, None) for label in added.values())
-    return _joined([line for lines in out for line in lines if line], end)
-
-
-def _joined(lines: Sequence[bytes], end: bytes) -> bytes:
-    """All lines; one without its end gets it only where another follows."""
-    closed = [line if line.endswith(b"\n") else line + end for line in lines[:-1]]
-    return b"".join([*closed, *lines[-1:]])
+    written = [line for lines in out for line in lines if line]
+    closed = [
+        line if line.endswith(b"\n") else line + end for line in written[:-1]
+    ]  # a line gets an end if another follows
+    return b"".join([*closed, *written[-1:]])
 
 
 def physical_lines(data: bytes) -> list[bytes]:

@@ -120,7 +120,8 @@ class CommonRadar:
         value = np.clip((power - np.array(self.floor_db)[rows]) / UNIT_DB, *LIMITS).astype(np.float32)
         points = cloud.points_m.astype(np.float32)
         points = points if self.height else points * np.array([1, 1, 0], dtype=np.float32)
-        has_doppler = self.doppler and not _drawn(key, float(self.drop_doppler))
+        draw = int.from_bytes(hashlib.sha256("\0".join(key).encode()).digest()[:4], "big")  # uniform below 2^32
+        has_doppler = self.doppler and draw >= float(self.drop_doppler) * 2**32
         doppler = cloud.column("doppler_m_s") if has_doppler else np.zeros(len(points), dtype=np.float32)
         selected = np.arange(len(points)) if self.cell_m is None else strongest(points, value, float(self.cell_m))
         flags = {
@@ -185,11 +186,6 @@ def strongest(
     number = (along_x * width + along_y) * height + along_z
     order = np.lexsort((-value, number))
     return np.sort(order[np.unique(number[order], return_index=True)[1]])
-
-
-def _drawn(key: Key, share: float) -> bool:
-    digest = hashlib.sha256("\0".join(key).encode()).digest()
-    return int.from_bytes(digest[:4], "big") < share * 2**32
 
 
 def _of(frame: Frame, name: str) -> Cloud:
