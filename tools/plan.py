@@ -1,7 +1,7 @@
-"""The plan of the house for CONTRIBUTING.md, from the import contracts in pyproject.toml and the rooms' own first lines.
+"""The plan of the house for CONTRIBUTING.md: the import contracts of pyproject.toml, and each room in its own words.
 
-    python tools/plan.py           # print it
-    python tools/plan.py --write   # put it into CONTRIBUTING.md
+python tools/plan.py           # print it
+python tools/plan.py --write   # put it into CONTRIBUTING.md
 """
 
 import ast
@@ -23,7 +23,9 @@ def first_line(room: str) -> str:
 
 def plan() -> str:
     """A table of the floors, the top one first; rooms of one floor do not import one another."""
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
     floors = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
     rows = ["| floor | room | what stands there |", "|---|---|---|"]
     for number, floor in enumerate(reversed([*floors, "errors"])):
