@@ -109,15 +109,15 @@ def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", refe
     )
 
 
-def _annotation(boxes: Boxes, known: Mapping[str, np.ndarray]) -> Annotation:
-    details, unboxed = _split_details(known)
+def _annotation(boxes: Boxes, columns: Mapping[str, np.ndarray]) -> Annotation:
+    details, unboxed = _split_details(columns)
     return Annotation(boxes=boxes, details=details, unboxed=unboxed)
 
 
-def _split_details(known: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def _split_details(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Rows of boxes, and what stands beside them."""
-    beside = {name: rows for name, rows in known.items() if name == "dontcare_px"}
-    return {name: rows for name, rows in known.items() if name not in beside}, beside
+    beside = {name: rows for name, rows in columns.items() if name == "dontcare_px"}
+    return {name: rows for name, rows in columns.items() if name not in beside}, beside
 
 
 @dataclass(eq=False)
@@ -172,87 +172,93 @@ def _pairs(predictions: Path, labels: Path, notes: list[str]) -> list[tuple[Path
         raise ConfigError(f"expected two files or two folders, got {predictions} and {labels}, one of each kind")
     if not labels.is_dir():
         return [(predictions, labels)]
-    by_stem, wanted = _files(predictions), _files(labels)
-    strangers = sorted(set(by_stem) - set(wanted))
-    if strangers or not set(by_stem) & set(wanted):
+    by_stem, label_files = _files(predictions), _files(labels)
+    strangers = sorted(set(by_stem) - set(label_files))
+    if strangers or not set(by_stem) & set(label_files):
         raise ConfigError(
             f"expected files of equal stems in {predictions} and {labels}; "
             + (f"these predictions have no labels: {', '.join(strangers[:5])}" if strangers else "no stem is in both")
         )
-    missing = len(wanted) - len(by_stem)
+    missing = len(label_files) - len(by_stem)
     if missing:
-        notes.append(f"{missing} of {len(wanted)} label files have no file of predictions; they count as nothing found")
-    return [(by_stem.get(stem), path) for stem, path in sorted(wanted.items())]
+        notes.append(
+            f"{missing} of {len(label_files)} label files have no file of predictions; they count as nothing found"
+        )
+    return [(by_stem.get(stem), path) for stem, path in sorted(label_files.items())]
 
 
 def _files(folder: Path) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+    path_of: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix not in (".txt", ".csv", ".json") or not path.is_file():
             continue
-        if path.stem in found:
-            raise ConfigError(f"{folder}: expected one file a stem, got {found[path.stem].name} and {path.name}")
-        found[path.stem] = path
-    if not found:
+        if path.stem in path_of:
+            raise ConfigError(f"{folder}: expected one file a stem, got {path_of[path.stem].name} and {path.name}")
+        path_of[path.stem] = path
+    if not path_of:
         raise ConfigError(f"{folder}: expected .txt, .csv or .json files, found none")
-    return found
+    return path_of
 
 
 def _share_sequence(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> None:
     """Where one side names no sequence and the other a single one, that is the sequence of both."""
     sides = {"predictions": predicted, "labels": annotated}
-    for (word, side), (other_word, other) in zip(sides.items(), reversed(sides.items()), strict=True):
+    for (side_name, side), (other_word, other) in zip(sides.items(), reversed(sides.items()), strict=True):
         names = {sequence for sequence, _ in other.boxes}
         if {sequence for sequence, _ in side.boxes} != {""} or len(names) != 1 or names == {""}:
             continue
         (name,) = names
         side.boxes = {(name, frame): boxes for (_, frame), boxes in side.boxes.items()}
-        side.details = {(name, frame): known for (_, frame), known in side.details.items()}
+        side.details = {(name, frame): columns for (_, frame), columns in side.details.items()}
         notes.append(
-            f"{word} name no sequence: their frames are taken for those of {name!r}, the {other_word}' only one"
+            f"{side_name} name no sequence: their frames are taken for those of {name!r}, the {other_word}' only one"
         )
 
 
 def _without_image_boxes(predicted: _SideBoxes) -> list[str]:
     """A note on KITTI's predictions that have no place in the image."""
     heights = [
-        known["box_px"][:, 3] - known["box_px"][:, 1] for known in predicted.details.values() if "box_px" in known
+        columns["box_px"][:, 3] - columns["box_px"][:, 1]
+        for columns in predicted.details.values()
+        if "box_px" in columns
     ]
-    flat = np.concatenate(heights) if heights else np.zeros(0)
-    lacking = int((flat <= 0).sum())
-    if lacking <= 0.5 * len(flat) or not len(flat):
+    height_px = np.concatenate(heights) if heights else np.zeros(0)
+    lacking = int((height_px <= 0).sum())
+    if lacking <= 0.5 * len(height_px) or not len(height_px):
         return []
     return [
-        f"{lacking} of {len(flat)} predictions have no 2D box in the image: KITTI's rules leave out predictions lower "
-        "than 25 or 40 pixels, so protocol kitti does not count them; dds and nuscenes do"
+        f"{lacking} of {len(height_px)} predictions have no 2D box in the image: KITTI's rules leave out predictions "
+        "lower than 25 or 40 pixels, so protocol kitti does not count them; dds and nuscenes do"
     ]
 
 
-def _name_coordinates(side: _SideBoxes, place: Path, given: str) -> None:
+def _name_coordinates(side: _SideBoxes, path: Path, reference: str) -> None:
     """Take the coordinates that stand beside the files, and those that were given for files which name none."""
-    side.stands_in(place, read_coordinates(place) if place.is_dir() else "")
-    if given and side.reference and given != side.reference:
-        raise ConfigError(f"{place}: names {side.reference} as its coordinates, but reference says {given}")
-    side.reference = side.reference or given
+    side.stands_in(path, read_coordinates(path) if path.is_dir() else "")
+    if reference and side.reference and reference != side.reference:
+        raise ConfigError(f"{path}: names {side.reference} as its coordinates, but reference says {reference}")
+    side.reference = side.reference or reference
 
 
 def _agreed(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> str:
     """The coordinates of both sides."""
-    theirs, ours = predicted.reference, annotated.reference
-    if theirs and ours and theirs != ours:
+    predicted_in, annotated_in = predicted.reference, annotated.reference
+    if predicted_in and annotated_in and predicted_in != annotated_in:
         raise ConfigError(
-            f"predictions stand in the coordinates of {theirs}, labels in those of {ours}: their boxes do not lie in "
-            f"one space. Write one anew (farfield predict ... --reference {ours}, or farfield convert DATA --to "
-            f"boxes-csv --reference {theirs}), or name the data set in the place of the labels: it is seen in the "
-            "predictions' coordinates"
+            f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: their boxes "
+            f"do not lie in one space. Write one anew (farfield predict ... --reference {annotated_in}, or farfield "
+            f"convert DATA --to boxes-csv --reference {predicted_in}), or name the data set in the place of the "
+            "labels: it is seen in the predictions' coordinates"
         )
-    known, silent = theirs or ours, "labels" if theirs else "predictions"
-    if bool(theirs) != bool(ours) and not known.startswith("camera "):  # KITTI's boxes stand in the camera anyway
+    reference, silent = predicted_in or annotated_in, "labels" if predicted_in else "predictions"
+    if bool(predicted_in) != bool(annotated_in) and not reference.startswith(
+        "camera "
+    ):  # KITTI's boxes stand in the camera anyway
         notes.append(
-            f"{silent} do not name their coordinates: they are taken for those of the other side, {known} (--reference "
-            "says it)"
+            f"{silent} do not name their coordinates: they are taken for those of the other side, {reference} "
+            "(--reference says it)"
         )
-    return known
+    return reference
 
 
 def _add_empty_frames(predicted: dict[Key, Boxes], annotated: dict[Key, Boxes], notes: list[str]) -> None:
@@ -281,7 +287,7 @@ def _groups(*columns: Shaped[np.ndarray, " n"]) -> list[tuple[tuple[str, ...], n
     rows: dict[tuple[str, ...], list[int]] = {}
     for row, names in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
         rows.setdefault(tuple(map(str, names)), []).append(row)
-    return [(names, np.array(found)) for names, found in rows.items()]
+    return [(names, np.array(indices)) for names, indices in rows.items()]
 
 
 def _read_csv(side: _SideBoxes, path: Path, stem: str) -> None:
@@ -300,8 +306,8 @@ def _read_csv(side: _SideBoxes, path: Path, stem: str) -> None:
     )
     sequence = np.full(len(rows), stem) if rows.sequence is None else rows.sequence
     for (name, frame), index in _groups(sequence, rows.frame):
-        known = None if rows.doppler_m_s is None else {"doppler_m_s": rows.doppler_m_s[index]}
-        side.add(path, (name, frame), boxes[index], known)
+        details = None if rows.doppler_m_s is None else {"doppler_m_s": rows.doppler_m_s[index]}
+        side.add(path, (name, frame), boxes[index], details)
 
 
 def _read_kitti(side: _SideBoxes, path: Path, stem: str) -> None:
@@ -332,16 +338,16 @@ def _read_nuscenes(side: _SideBoxes, path: Path, stem: str) -> None:
     numbers: dict[str, int] = {}
     samples, stands_in = read_results_in(path)
     side.stands_in(path, stands_in)
-    for token, found in samples.items():
-        ids = [numbers.setdefault(name, len(numbers)) for name in found.track]
+    for token, sample in samples.items():
+        ids = [numbers.setdefault(name, len(numbers)) for name in sample.track]
         boxes = Boxes(
-            centre_m=found.centre_m,
-            size_m=found.size_m,
-            yaw_rad=found.yaw_rad,
-            label=list(found.label),
-            score=side.scores(found.score, len(found.label)),
-            track_id=np.array(ids, dtype=np.int64) if found.track else None,
-            velocity_m_s=found.velocity_m_s,
+            centre_m=sample.centre_m,
+            size_m=sample.size_m,
+            yaw_rad=sample.yaw_rad,
+            label=list(sample.label),
+            score=side.scores(sample.score, len(sample.label)),
+            track_id=np.array(ids, dtype=np.int64) if sample.track else None,
+            velocity_m_s=sample.velocity_m_s,
         )
         side.add(path, ("", token), boxes)
 
@@ -352,9 +358,9 @@ def _split(side: _SideBoxes, path: Path, objects: KittiObjects) -> tuple[Boxes, 
     extent_m = np.column_stack([objects.size_m, np.abs(objects.bottom_m)])
     sound = (objects.size_m >= 1e-4).all(axis=1) & (extent_m <= 1e9).all(axis=1)
     for row in np.flatnonzero(~dontcare & ~sound)[:1]:
-        found = " ".join(f"{value:g}" for value in [*objects.size_m[row], *objects.bottom_m[row]])
+        values = " ".join(f"{value:g}" for value in [*objects.size_m[row], *objects.bottom_m[row]])
         expected = "positive h w l, and x y z within 1e9 metres"
-        raise FileFormatError(path, where=f"line {objects.line[row]}", expected=expected, found=found)
+        raise FileFormatError(path, where=f"line {objects.line[row]}", expected=expected, found=values)
     real = objects[~dontcare]
     side.turned(real.rotation_y_rad)
     details = {

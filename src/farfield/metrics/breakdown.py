@@ -25,7 +25,7 @@ KINDS = (*CONDITIONS, "azimuth")
 
 
 def parts(
-    found: Detections, kinds: Collection[str] = KINDS, *, azimuths_deg: Sequence[float] = AZIMUTHS_DEG
+    detections: Detections, kinds: Collection[str] = KINDS, *, azimuths_deg: Sequence[float] = AZIMUTHS_DEG
 ) -> dict[str, dict[str, Detections]]:
     """Detections by condition of their frames and by sector.
 
@@ -33,31 +33,33 @@ def parts(
     right, lies in [15, 30) degrees: each sector is scored as if there were nothing beside it, as range bins are.
 
     Args:
-        found: Detections.
+        detections: Detections.
         kinds: Some of :data:`KINDS`; a condition that no frame states has no entry.
         azimuths_deg: Edges of the sectors, degrees, rising.
 
     Returns:
         By kind and value, such as ``["road"]["urban"]``, in the order of the vocabulary.
     """
-    found, parted = found.counted(), dict[str, dict[str, Detections]]()
+    detections, parted = detections.counted(), dict[str, dict[str, Detections]]()
     for kind in (kind for kind in CONDITIONS if kind in kinds):
-        stated = {key: known[kind] for key, known in found.conditions.items() if kind in known}
+        stated = {key: conditions[kind] for key, conditions in detections.conditions.items() if kind in conditions}
         present = set(stated.values())
         values = [name for name in CONDITIONS[kind] if name in present]
         values += sorted(present.difference(values))
         if values:
-            parted[kind] = {value: _of_frames(found, {k for k, v in stated.items() if v == value}) for value in values}
+            parted[kind] = {
+                value: _of_frames(detections, {k for k, v in stated.items() if v == value}) for value in values
+            }
     if "azimuth" in kinds:
         edges = [(low, high) for low, high in pairwise(map(float, azimuths_deg))]
         parted["azimuth"] = {
-            f"{low:g}-{high:g}": _of_boxes(found, partial(_in_sector, low, high)) for low, high in edges
+            f"{low:g}-{high:g}": _of_boxes(detections, partial(_in_sector, low, high)) for low, high in edges
         }
     return parted
 
 
 def by_part(
-    found: Detections,
+    detections: Detections,
     protocol: str | Protocol = "dds",
     kinds: Collection[str] = KINDS,
     *,
@@ -73,8 +75,8 @@ def by_part(
     """
     chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
     if settings.get("label") is None and "label" in chosen.options():
-        settings["label"] = getattr(chosen.settings(found.counted(), **settings), "label", None)
-    parted = parts(found, kinds, azimuths_deg=azimuths_deg)
+        settings["label"] = getattr(chosen.settings(detections.counted(), **settings), "label", None)
+    parted = parts(detections, kinds, azimuths_deg=azimuths_deg)
     return {
         kind: {value: part.score(chosen, **settings) for value, part in values.items()}
         for kind, values in parted.items()
@@ -93,37 +95,37 @@ def parts_json(scored: Mapping[str, Mapping[str, Result]]) -> dict[str, Any]:
     tree: dict[str, Any] = {"conditions": {}, "counts": {}, "intervals": {}}
     for kind, values in scored.items():
         for value, part in values.items():
-            known = any(figure is not None for figure in part.figures.values())
-            tree["conditions"].setdefault(kind, {})[value] = nest(part.figures) if known else None
+            is_scored = any(figure is not None for figure in part.figures.values())
+            tree["conditions"].setdefault(kind, {})[value] = nest(part.figures) if is_scored else None
             counts = {name: number for name, number in part.counts.items() if isinstance(number, int)}
             tree["counts"].setdefault(kind, {})[value] = counts
             tree["intervals"][f"{kind}/{value}"] = nest(part.intervals.get("overall", {}))
     return tree
 
 
-def _of_frames(found: Detections, keys: Collection[Any]) -> Detections:
-    boxes, annotations = alike(found.boxes), alike(found.annotations)
-    for key in (key for key in found.annotations if key in keys):
-        boxes[key], annotations[key] = found.boxes[key], found.annotations[key]
+def _of_frames(detections: Detections, keys: Collection[Any]) -> Detections:
+    boxes, annotations = alike(detections.boxes), alike(detections.annotations)
+    for key in (key for key in detections.annotations if key in keys):
+        boxes[key], annotations[key] = detections.boxes[key], detections.annotations[key]
     return replace(
-        found,
+        detections,
         boxes=boxes,
         annotations=annotations,
-        prediction_details={key: rows for key, rows in found.prediction_details.items() if key in annotations},
-        conditions={key: known for key, known in found.conditions.items() if key in annotations},
+        prediction_details={key: rows for key, rows in detections.prediction_details.items() if key in annotations},
+        conditions={key: conditions for key, conditions in detections.conditions.items() if key in annotations},
     )
 
 
-def _of_boxes(found: Detections, inside: Callable[[Boxes], Bool[np.ndarray, " n"]]) -> Detections:
-    masks = {key: inside(found.boxes[key]) for key in found.prediction_details}
+def _of_boxes(detections: Detections, inside: Callable[[Boxes], Bool[np.ndarray, " n"]]) -> Detections:
+    masks = {key: inside(detections.boxes[key]) for key in detections.prediction_details}
     details = {
-        key: {name: np.asarray(rows)[masks[key]] for name, rows in known.items()}
-        for key, known in found.prediction_details.items()
+        key: {name: np.asarray(rows)[masks[key]] for name, rows in columns.items()}
+        for key, columns in detections.prediction_details.items()
     }
     return replace(
-        found,
-        boxes=MappedView(found.boxes, partial(_cut, inside)),
-        annotations=MappedView(found.annotations, partial(_cut_annotation, inside)),
+        detections,
+        boxes=MappedView(detections.boxes, partial(_cut, inside)),
+        annotations=MappedView(detections.annotations, partial(_cut_annotation, inside)),
         prediction_details=details,
     )
 
@@ -182,7 +184,7 @@ def mean_of_classes(rows: Sequence[ClassRow]) -> dict[str, Any] | None:
     return {"of": labels, "annotated": annotated, "figures": means}
 
 
-def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: Any) -> list[ClassRow]:
+def by_class(detections: Detections, protocol: str | Protocol = "dds", **settings: Any) -> list[ClassRow]:
     """A row for each class of a data set, null where nothing is annotated or learnt.
 
     The classes are the protocol's: Cirrus' eight, or for K-Radar's protocols its seven, of which the two groups are
@@ -191,7 +193,7 @@ def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: An
     under another name (large vehicles as vehicles) it is counted there, as the setting ``relabel`` says.
 
     Args:
-        found: Detections; without a word on what the detector learnt, the classes that it found count as learnt.
+        detections: Detections; without a word on what the detector learnt, the classes that it found count as learnt.
         protocol: The protocol or its name.
         **settings: Its settings; a label is of no use here.
 
@@ -199,18 +201,18 @@ def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: An
         ConfigError: If a setting is unknown or impossible.
     """
     chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
-    found, settings = found.counted(), {name: value for name, value in settings.items() if name != "label"}
-    annotated, learnt = _labels(found.annotated), set(found.classes) or set(_labels(found.boxes))
+    detections, settings = detections.counted(), {name: value for name, value in settings.items() if name != "label"}
+    annotated, learnt = _labels(detections.annotated), set(detections.classes) or set(_labels(detections.boxes))
     relabel = {**(settings.get("relabel") or chosen.default("relabel") or {})}
     relabel = {name: other for name, other in relabel.items() if name not in learnt}
-    given = {**settings, "relabel": relabel}
-    rows, seen = list[ClassRow](), set[str]()
+    class_settings = {**settings, "relabel": relabel}
+    rows, listed_labels = list[ClassRow](), set[str]()
     listed = {*chosen.classes, *chosen.classes.values()}
-    others = {name: name for name in found.classes or sorted(learnt) if name not in listed}
+    others = {name: name for name in detections.classes or sorted(learnt) if name not in listed}
     for name, label in {**chosen.classes, **others}.items():
         other = relabel.get(label, label)
         number = sum(count for each, count in annotated.items() if relabel.get(each, each) == label)
-        if label in seen:
+        if label in listed_labels:
             rows.append(ClassRow(name, 0, None, f"counted as {label}"))
         elif other != label and other in chosen.classes.values():
             rows.append(ClassRow(name, annotated.get(label, 0), None, f"counted as {other}"))
@@ -219,24 +221,26 @@ def by_class(found: Detections, protocol: str | Protocol = "dds", **settings: An
         elif not any(relabel.get(each, each) == label for each in learnt):
             rows.append(ClassRow(name, number, None, "not learnt"))
         else:
-            figures, counted = _figures_of(found, chosen, label, settings if chosen.several_classes else given)
+            figures, counted = _figures_of(
+                detections, chosen, label, settings if chosen.several_classes else class_settings
+            )
             why = "" if figures else f"not scored by {chosen}"
             rows.append(ClassRow(name, number if counted is None else counted, figures, why))
-        seen.add(label)
+        listed_labels.add(label)
     return rows
 
 
 def _figures_of(
-    found: Detections, protocol: Protocol, label: str, settings: Mapping[str, Any]
+    detections: Detections, protocol: Protocol, label: str, settings: Mapping[str, Any]
 ) -> tuple[dict[str, float | None] | None, int | None]:
     """The headline of one class, None where the protocol leaves the class out, and how many boxes of it counted."""
-    given = dict(settings)
+    options = dict(settings)
     if "ignore" in protocol.options():
         ignore = settings.get("ignore") or protocol.default("ignore") or ()
-        given["ignore"] = tuple(name for name in ignore if name != label)
+        options["ignore"] = tuple(name for name in ignore if name != label)
     if not protocol.several_classes:
-        given["label"] = label
-    result = found.evaluated(protocol, protocol.settings(found, **given)).to_json()
+        options["label"] = label
+    result = detections.evaluated(protocol, protocol.settings(detections, **options)).to_json()
     figures, prefix = protocol.headline(result), f"ap/{label}/"
     if not protocol.several_classes:
         counted = result["counts"].get("annotated")

@@ -102,17 +102,19 @@ def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Compa
         ConfigError: If there is no such file, or there are not as many names as results.
         FileFormatError: If a file holds no result.
     """
-    found: list[tuple[str, Tree]] = []
+    trees_by_name: list[tuple[str, Tree]] = []
     for path in map(_file_of, paths):
         trees = _read(path)
-        found += [(_called(path, name, tree, alone=len(trees) == 1), tree) for name, tree in trees.items()]
-    called = list(names) or [name for name, _ in found]
-    if not found or len(called) != len(found) or not all(called):
-        raise ConfigError(f"expected one or more results and as many names, got {len(found)} and {', '.join(names)!r}")
+        trees_by_name += [(_called(path, name, tree, alone=len(trees) == 1), tree) for name, tree in trees.items()]
+    called = list(names) or [name for name, _ in trees_by_name]
+    if not trees_by_name or len(called) != len(trees_by_name) or not all(called):
+        raise ConfigError(
+            f"expected one or more results and as many names, got {len(trees_by_name)} and {', '.join(names)!r}"
+        )
     if len(set(called)) < len(called):
         called = [f"{number}: {name}" for number, name in enumerate(called, 1)]
     entries = []
-    for name, (_, tree) in zip(called, found, strict=True):
+    for name, (_, tree) in zip(called, trees_by_name, strict=True):
         family, protocol = protocol_family(tree), protocol_of(tree)
         if protocol.several_classes:
             classes = dict.fromkeys(tree["settings"].get("classes") or (), tree)
@@ -147,15 +149,15 @@ def _read(path: Path) -> dict[str, Tree]:
     except (ValueError, RecursionError) as error:
         raise FileFormatError(path, where="the text", expected="JSON", found=plain(error)) from None
     inner = tree.get("results") if isinstance(tree, dict) else None
-    found = inner if isinstance(inner, dict) and "protocol" not in tree else {"": tree}
-    for name, beside in (tree.get("parts") or {}).items() if isinstance(tree, dict) and found is inner else ():
-        if isinstance(found.get(name), dict) and isinstance(beside, dict) and "conditions" in beside:
-            found[name] = {"conditions": beside["conditions"], **found[name]}
-    for result in found.values():
+    results = inner if isinstance(inner, dict) and "protocol" not in tree else {"": tree}
+    for name, beside in (tree.get("parts") or {}).items() if isinstance(tree, dict) and results is inner else ():
+        if isinstance(results.get(name), dict) and isinstance(beside, dict) and "conditions" in beside:
+            results[name] = {"conditions": beside["conditions"], **results[name]}
+    for result in results.values():
         _check(path, result)
         for each in (result.get("labels") or {}).values():
             _check(path, each)
-    return found
+    return results
 
 
 def _check(path: Path, result: Any) -> None:
@@ -224,8 +226,8 @@ def _footer(members: list[ComparedResult], letters: Mapping[str, str], *, by_ran
     lines += [f"row {entry.name}: {entry.subject}" for entry in members if entry.subject is not None]
     if not all(entry.same_data(members[0]) for entry in members):
         data = {entry.name: _data(entry) for entry in members}
-        known = "; ".join(f"{name}: {frames} frames, {boxes} annotated" for name, (frames, boxes) in data.items())
-        lines.append(f"note: not the same data. {known}")
+        counts = "; ".join(f"{name}: {frames} frames, {boxes} annotated" for name, (frames, boxes) in data.items())
+        lines.append(f"note: not the same data. {counts}")
     wrapped = (textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
     return "\n".join(wrapped)
 
@@ -260,9 +262,9 @@ def _conventions(members: list[ComparedResult], *, by_range: bool, separate: boo
 def _check_convention(first: ComparedResult, entry: ComparedResult, *, by_range: bool) -> None:
     differing = differing_settings(first.tree, entry.tree, by_range=by_range)
     if differing:
-        words = "; ".join(f"{name}: {a} and {b}" for name, (a, b) in differing.items())
+        differences = "; ".join(f"{name}: {a} and {b}" for name, (a, b) in differing.items())
         raise ConfigError(
-            f"{first.name} and {entry.name} were scored by different conventions ({words}), so their "
+            f"{first.name} and {entry.name} were scored by different conventions ({differences}), so their "
             "numbers do not belong in one column. Score them alike, or keep them apart (--separate)"
         )
 
@@ -271,12 +273,12 @@ def _columns(members: list[ComparedResult], figures: Sequence[str], by: str) -> 
     """Title and columns of each table."""
     trees, protocol = [entry.tree for entry in members], members[0].protocol
     prefix = f"ap/{members[0].label}/" if protocol.several_classes else ""
-    wanted = [name if name.startswith(prefix) else prefix + name for name in figures] or _usual(members, prefix, by)
-    for name in wanted:
+    names = [name if name.startswith(prefix) else prefix + name for name in figures] or _usual(members, prefix, by)
+    for name in names:
         if not any(name.split("/")[-1] in _node(tree, name) for tree in trees):
             present = [leaf.removeprefix(prefix) for tree in trees for leaf in _figures_of(tree, prefix)]
             raise ConfigError(f"figures: expected some of {', '.join(dict.fromkeys(present))}; got {name!r}")
-    titles = {name: protocol.presenter.title(name.removeprefix(prefix)) for name in wanted}
+    titles = {name: protocol.presenter.title(name.removeprefix(prefix)) for name in names}
     if by == "none":
         return [("", [Column(title, name) for name, title in titles.items()])]
     return [(f", {title}", [Column("total", name), *_part_columns(trees, name, by)]) for name, title in titles.items()]
@@ -296,8 +298,8 @@ def _part_columns(trees: list[Tree], figure: str, by: str) -> list[Column]:
 def _usual(members: list[ComparedResult], prefix: str, by: str) -> list[str]:
     """Figures that are shown if none are named: the protocol's headline; of parts the first of it alone."""
     named = (name for entry in members for name in entry.protocol.headline(entry.tree) if name.startswith(prefix))
-    found = list(dict.fromkeys(named)) or _figures_of(members[0].tree, prefix)
-    return found[: 1 if by != "none" else None]
+    shown = list(dict.fromkeys(named)) or _figures_of(members[0].tree, prefix)
+    return shown[: 1 if by != "none" else None]
 
 
 def _figures_of(tree: Tree, prefix: str) -> list[str]:
@@ -310,7 +312,7 @@ def _node(tree: Tree, figure: str) -> Mapping[str, Any]:
     return node if isinstance(node, Mapping) else {}
 
 
-# MERGED """Which results may stand in one column: those whose settings agree in all that their figures depend on."""
+# Conventions: results stand in one column if their settings agree in all that their figures depend on.
 
 
 def protocol_family(result: Tree) -> str:

@@ -99,19 +99,19 @@ def depth_errors(depth_m: Float[np.ndarray, "h w"], truth_m: Float[np.ndarray, "
         depth_m: Estimates along the optical axis in metres, NaN for none, shape (h, w).
         truth_m: True depths, NaN for unknown, shape (h, w).
     """
-    known = np.isfinite(truth_m) & (truth_m > 0)
-    both = known & np.isfinite(depth_m) & (depth_m > 0)
-    found, truth = depth_m[both].astype(np.float64), truth_m[both].astype(np.float64)
-    error, inverse = np.abs(found - truth), np.abs(1 / found - 1 / truth)
+    is_true = np.isfinite(truth_m) & (truth_m > 0)
+    both = is_true & np.isfinite(depth_m) & (depth_m > 0)
+    estimate, truth = depth_m[both].astype(np.float64), truth_m[both].astype(np.float64)
+    error, inverse = np.abs(estimate - truth), np.abs(1 / estimate - 1 / truth)
     return DepthErrors(
-        truth=int(known.sum()),
+        truth=int(is_true.sum()),
         compared=len(truth),
         absolute=float(error.sum()),
         squared=float((error**2).sum()),
         inverse=float(inverse.sum()),
         inverse_squared=float((inverse**2).sum()),
         relative=float((error / truth).sum()),
-        close=int((np.maximum(found / truth, truth / found) < _LARGE).sum()),
+        close=int((np.maximum(estimate / truth, truth / estimate) < _LARGE).sum()),
     )
 
 

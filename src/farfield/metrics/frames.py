@@ -78,7 +78,7 @@ def group_frames(keys: Sequence[Key], drives: Sequence[Drive] = ()) -> tuple[Int
         keys: (sequence, frame) of the frames.
         drives: Drives of the data; frames of none of them are grouped by sequence.
     """
-    drive_of = {key: place for place, drive in enumerate(drives) for key in drive.keys}
+    drive_of = {key: number_of_drive for number_of_drive, drive in enumerate(drives) for key in drive.keys}
     number: dict[int | str, int] = {}
     group = np.array([number.setdefault(drive_of.get(key, key[0]), len(number)) for key in keys], dtype=np.int64)
     return (group, "sequences") if len(number) > 1 else (np.arange(len(keys)), "frames")
@@ -136,6 +136,8 @@ def same_owner(
     """All pairs of a row of ``a`` with a row of ``b`` of the same owner; the rows of ``b`` are sorted by owner."""
     count = np.bincount(b_owner, minlength=owners)
     start = np.cumsum(count) - count
-    each = count[a_owner]
-    a = np.repeat(np.arange(len(a_owner)), each)
-    return a, np.arange(len(a)) - np.repeat(np.cumsum(each) - each, each) + np.repeat(start[a_owner], each)
+    partners = count[a_owner]
+    a = np.repeat(np.arange(len(a_owner)), partners)
+    return a, np.arange(len(a)) - np.repeat(np.cumsum(partners) - partners, partners) + np.repeat(
+        start[a_owner], partners
+    )

@@ -69,19 +69,19 @@ def read_option(settings: type[Any], name: str, text: str) -> Any:
         return text
     kinds = _members(get_type_hints(settings)[name])
     origins = [get_origin(kind) or kind for kind in kinds]
-    words = {value for kind in kinds if get_origin(kind) is Literal for value in get_args(kind)}
+    choices = {value for kind in kinds if get_origin(kind) is Literal for value in get_args(kind)}
     if Mapping in origins:
         return _renames(name, text)
     if tuple in origins:
         inner = get_args(kinds[origins.index(tuple)])
         return tuple(word for word in text.split(",") if word) if str in inner else numbers(text, f"--options {name}")
-    if text in words:
+    if text in choices:
         return text
     if text == "none" and type(None) in kinds:
         return None
     if bool in kinds:
         return {"true": True, "false": False}.get(text, text)
-    return _number(name, text, whole=float not in kinds) if float in kinds or int in kinds else text
+    return _number(name, text, is_integer=float not in kinds) if float in kinds or int in kinds else text
 
 
 def _members(hint: Any) -> tuple[Any, ...]:
@@ -95,8 +95,8 @@ def _renames(name: str, text: str) -> dict[str, str]:
     return dict(pairs)
 
 
-def _number(name: str, text: str, *, whole: bool) -> float | int:
-    found = numbers(text, f"--options {name}")
-    if len(found) != 1 or (whole and not found[0].is_integer()):
+def _number(name: str, text: str, *, is_integer: bool) -> float | int:
+    values = numbers(text, f"--options {name}")
+    if len(values) != 1 or (is_integer and not values[0].is_integer()):
         raise ConfigError(f"--options {name}: expected one number, got {text!r}")
-    return int(found[0]) if whole else found[0]
+    return int(values[0]) if is_integer else values[0]

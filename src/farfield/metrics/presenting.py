@@ -216,8 +216,8 @@ def curve_line(name: str, curve: Any, titles: Sequence[str] = ()) -> CurveLine |
     """
     if curve is None:
         return None
-    known = curve if isinstance(curve, Mapping) else {}
-    recall, precision = known.get("recall"), known.get("precision")
+    values = curve if isinstance(curve, Mapping) else {}
+    recall, precision = values.get("recall"), values.get("precision")
     if not (isinstance(recall, list) and isinstance(precision, list) and len(recall) == len(precision)):
         raise ConfigError(
             f"result, curve {' '.join([*titles, name])}: expected lists 'recall' and 'precision' of equal length. "
@@ -229,5 +229,5 @@ def curve_line(name: str, curve: Any, titles: Sequence[str] = ()) -> CurveLine |
 def edges_m(result: Mapping[str, Any]) -> tuple[float, ...]:
     """Edges of a result's range bins, without the one at 0 and without an open one; none where it has no bins."""
     edges = (result.get("settings") or {}).get("range_bins_m") or ()
-    known = [float(edge) for edge in edges if isinstance(edge, int | float) and not isinstance(edge, bool)]
-    return tuple(edge for edge in known if 0 < edge < math.inf)
+    numbers = [float(edge) for edge in edges if isinstance(edge, int | float) and not isinstance(edge, bool)]
+    return tuple(edge for edge in numbers if 0 < edge < math.inf)

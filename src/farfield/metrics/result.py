@@ -1,4 +1,7 @@
-"""The result of a score: figures, intervals and curves, which print themselves with their convention."""
+"""The result of a score: figures, intervals and curves, which print themselves with their convention; and its subject.
+
+A :class:`Subject` says what a figure is about: who detected what in which data, and how that was counted.
+"""
 
 import hashlib
 import textwrap
@@ -13,9 +16,6 @@ from farfield.frame.drive import Key
 from farfield.metrics.bootstrap import Statistics
 from farfield.metrics.frames import frame_order
 from farfield.registry import display_html
-
-# MERGED farfield.metrics.result:
-# What a figure is about: who detected what in which data, and how that was counted.
 
 _SHOWN = 8
 """Digits of a fingerprint that people are shown; JSON has them all."""
@@ -69,9 +69,9 @@ class Subject:
         what = (self.data or "frames in memory") + _mark(self.fingerprint or self.labels_fingerprint)
         objects = "objects not counted" if self.annotated is None else f"{self.annotated:,} objects"
         frames = "" if self.frames is None else f" in {self.frames:,} frames"
-        seen = f"seen in training: {self.seen_in_training}"
+        training = f"seen in training: {self.seen_in_training}"
         parts = [f"{who} on {what}", self.cloud and f"cloud {self.cloud}", self.label.replace("_", " ")]
-        return "; ".join([*filter(None, parts), objects + frames, f"region {self.region}", self.protocol, seen])
+        return "; ".join([*filter(None, parts), objects + frames, f"region {self.region}", self.protocol, training])
 
     def to_json(self) -> dict[str, Any]:
         """The same as JSON values."""
@@ -82,11 +82,11 @@ class Subject:
         """What :meth:`to_json` gave; None where a result, such as an older one, has no subject."""
         if not isinstance(tree, Mapping) or not all(isinstance(tree.get(name), str) for name in ("protocol", "label")):
             return None
-        known: dict[str, Any] = {each.name: tree[each.name] for each in fields(cls) if each.name in tree}
+        values: dict[str, Any] = {each.name: tree[each.name] for each in fields(cls) if each.name in tree}
         numbers = {"annotated", "frames"}
         good = {
             name: value
-            for name, value in known.items()
+            for name, value in values.items()
             if (isinstance(value, int) if name in numbers else isinstance(value, str)) and not isinstance(value, bool)
         }
         return cls(**good)
@@ -94,7 +94,9 @@ class Subject:
     def same_data(self, other: "Subject") -> bool:
         """Whether both are of the same files and annotations, as far as both say."""
         pairs = [(getattr(self, name), getattr(other, name)) for name in ("fingerprint", "labels_fingerprint")]
-        return all(mine == theirs or not mine or not theirs for mine, theirs in pairs)
+        return all(
+            own_digest == other_digest or not own_digest or not other_digest for own_digest, other_digest in pairs
+        )
 
 
 def _mark(digest: str) -> str:
@@ -263,10 +265,10 @@ class Result:
         return "\n".join(textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
 
 
-def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
+def nest(named: Mapping[str, Any]) -> dict[str, Any]:
     """Turn ``{"dds/0/map": 1}`` into ``{"dds": {"0": {"map": 1}}}``."""
     tree: dict[str, Any] = {}
-    for name, value in flat.items():
+    for name, value in named.items():
         *path, leaf = name.split("/")
         node = tree
         for step in path:

@@ -1,4 +1,9 @@
-"""What is odd about the boxes of a file: units, headings, scores, classes; said beside the score, never mended."""
+"""What is odd about the boxes of a file: units, headings, scores, classes; said beside the score, never fixed.
+
+:func:`diagnose_box_convention` looks for predicted boxes that would fit the annotated ones if their columns meant
+something else: axes, frames, sizes, yaw. It tries the same readings as the doctor does on points, here against the
+annotated boxes. Nothing is changed: a reading that fits far better is named.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -27,7 +32,7 @@ def sanity_warnings(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[st
         annotated: Annotated boxes by the same.
     """
     sides = {"predicted": _joined(predicted.values()), "annotated": _joined(annotated.values())}
-    notes = [note for word, boxes in sides.items() for note in _of_one_side(word, boxes)]
+    notes = [note for side, boxes in sides.items() for note in _of_one_side(side, boxes)]
     doubled = sum(_doubled(boxes) for boxes in predicted.values())
     if doubled > 0.3 * len(sides["predicted"]):
         notes.append(f"{doubled} of {len(sides['predicted'])} predicted boxes stand there twice: one file in another?")
@@ -43,18 +48,18 @@ def _joined(parts: Iterable[Boxes]) -> Boxes:
     return Boxes.concatenate([part.plain().replace(score=part.score) for part in filled]) if filled else Boxes.empty()
 
 
-def _of_one_side(word: str, boxes: Boxes) -> Iterator[str]:
+def _of_one_side(side: str, boxes: Boxes) -> Iterator[str]:
     if not len(boxes):
-        yield f"there is no {word} box"
+        yield f"there is no {side} box"
         return
     longest = float(np.median(boxes.size_m.max(axis=1)))
     unit = unit_of_sizes(longest)
     if unit:
-        yield f"the median {word} box is {longest:.3g} long: sizes are in metres, these seem to be in {unit}"
+        yield f"the median {side} box is {longest:.3g} long: sizes are in metres, these seem to be in {unit}"
     far = float(np.median(boxes.range_m))
     if far > _FARTHEST_M:
         yield (
-            f"the median {word} box lies {far:.3g} m away: positions are metres from the sensor, not of a map "
+            f"the median {side} box lies {far:.3g} m away: positions are metres from the sensor, not of a map "
             "and not in another unit"
         )
 
@@ -69,17 +74,17 @@ def _scores(boxes: Boxes) -> Iterator[str]:
         yield f"all {len(boxes)} predictions have one score, {low:g}: without an order a curve has a single point"
 
 
-def wild_headings(word: str, beyond: int, total: int) -> list[str]:
+def wild_headings(side: str, beyond: int, total: int) -> list[str]:
     """A note where many headings lie beyond a turn.
 
     Args:
-        word: Whose boxes.
+        side: Whose boxes.
         beyond: How many, see :func:`beyond_a_turn`; boxes themselves keep the angle modulo a turn.
         total: Of how many.
     """
     if not total or beyond <= _FEW * total:
         return []
-    return [f"{beyond / total:.0%} of the {word} headings are beyond 2 pi: yaw is in radians, these look like degrees"]
+    return [f"{beyond / total:.0%} of the {side} headings are beyond 2 pi: yaw is in radians, these look like degrees"]
 
 
 def beyond_a_turn(yaw_rad: Float[np.ndarray, " n"]) -> int:
@@ -105,7 +110,7 @@ def _places(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
     return np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
 
 
-def fast(boxes: BoxesByFrame, word: str) -> list[str]:
+def fast(boxes: BoxesByFrame, side: str) -> list[str]:
     """A note where most velocities are beyond those of cars."""
     parts = [each.velocity_m_s for each in boxes.values() if each.velocity_m_s is not None and len(each)]
     speed = np.concatenate([np.linalg.norm(part[:, :2], axis=1) for part in parts]) if parts else np.zeros(0)
@@ -114,7 +119,7 @@ def fast(boxes: BoxesByFrame, word: str) -> list[str]:
         return []
     beyond = float((speed > _FASTEST_M_S).mean())
     return [
-        f"{beyond:.0%} of the {word} boxes move at more than {_FASTEST_M_S:g} m/s (median {np.median(speed):.3g}): "
+        f"{beyond:.0%} of the {side} boxes move at more than {_FASTEST_M_S:g} m/s (median {np.median(speed):.3g}): "
         "velocities are in m/s, not km/h"
     ]
 
@@ -127,16 +132,16 @@ def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: M
         annotated: Annotated boxes.
         relabel: Names that count as others.
     """
-    theirs, ours = _named(predicted, relabel), _named(annotated, relabel)
-    strange = {name: count for name, count in theirs.items() if name not in ours}
-    if not strange or not ours:
+    predicted_counts, annotated_counts = _named(predicted, relabel), _named(annotated, relabel)
+    strange = {name: count for name, count in predicted_counts.items() if name not in annotated_counts}
+    if not strange or not annotated_counts:
         return []
     shown = ", ".join(f"{name} ({count})" for name, count in list(strange.items())[:8])
-    meant = {name: guess for name in strange if (guess := meant_by(name, ours))}
-    mend = f"; meant is perhaps {', '.join(f'{a}:{b}' for a, b in meant.items())}: --options relabel={_pairs(meant)}"
+    meant = {name: guess for name in strange if (guess := meant_by(name, annotated_counts))}
+    advice = f"; meant is perhaps {', '.join(f'{a}:{b}' for a, b in meant.items())}: --options relabel={_pairs(meant)}"
     return [
-        f"{sum(strange.values())} of {sum(theirs.values())} predicted boxes are of classes that no label has: {shown}; "
-        f"labels have {', '.join(ours)}{mend if meant else ''}"
+        f"{sum(strange.values())} of {sum(predicted_counts.values())} predicted boxes are of classes that no label "
+        f"has: {shown}; labels have {', '.join(annotated_counts)}{advice if meant else ''}"
     ]
 
 
@@ -144,13 +149,13 @@ def _pairs(meant: Mapping[str, str]) -> str:
     return ",".join(f"{name}:{guess}" for name, guess in meant.items())
 
 
-def meant_by(name: str, known: Iterable[str]) -> str:
+def meant_by(name: str, names: Iterable[str]) -> str:
     """The known class that a name may be meant for; empty where none is like it.
 
     >>> meant_by("Car", ["vehicle", "pedestrian"]), meant_by("vehicel", ["vehicle"]), meant_by("LKW", ["vehicle"])
     ('vehicle', 'vehicle', '')
     """
-    by_plain = {other.lower(): other for other in known}
+    by_plain = {other.lower(): other for other in names}
     ours = normalised_class(name, {})
     same = [other for other in by_plain.values() if normalised_class(other, {}) == ours != "unknown"]
     close = get_close_matches(name.lower(), list(by_plain), n=1, cutoff=0.75)
@@ -166,11 +171,7 @@ def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:
     return counts
 
 
-# MERGED farfield.metrics.sanity:
-# Predicted boxes that would fit the annotated ones if their numbers meant something else: axes, frames, sizes, yaw.
-#
-# The same readings as the doctor tries on points, here with annotated boxes as the witnesses. Nothing is changed: what
-# fits far better is named.
+# Readings of the columns under which far more boxes would fit
 
 _NEAR_M = 2.0
 _MOST_FRAMES = 200
@@ -196,20 +197,20 @@ def diagnose_box_convention(predicted: BoxesByFrame, annotated: BoxesByFrame) ->
     """
     keys = sorted((key for key in annotated if len(annotated[key])), key=frame_order)
     keys = keys[:: max(1, -(-len(keys) // _MOST_FRAMES))]
-    ours = {key: _rows(annotated[key]) for key in keys}
-    theirs = {key: _rows(predicted[key]) if key in predicted else np.zeros((0, 7)) for key in keys}
-    total = sum(map(len, theirs.values()))
-    pairs = _paired(theirs, ours)
+    annotated_rows = {key: _rows(annotated[key]) for key in keys}
+    predicted_rows = {key: _rows(predicted[key]) if key in predicted else np.zeros((0, 7)) for key in keys}
+    total = sum(map(len, predicted_rows.values()))
+    pairs = _paired(predicted_rows, annotated_rows)
     as_read = len(pairs.predicted)
     best, most = "", 0
-    for words, change in _PLACES.items():
-        count = _count({key: change(rows[:, :3]) for key, rows in theirs.items()}, ours)
-        best, most = (words, count) if count > most else (best, most)
-    for step, words in ((1, "the next frame's"), (-1, "the frame's before")):
-        count = _count(_shifted(predicted, keys, step), ours)
+    for reading, change in _PLACES.items():
+        count = _count({key: change(rows[:, :3]) for key, rows in predicted_rows.items()}, annotated_rows)
+        best, most = (reading, count) if count > most else (best, most)
+    for step, reading in ((1, "the next frame's"), (-1, "the frame's before")):
+        count = _count(_shifted(predicted, keys, step), annotated_rows)
         if count > most:
-            best, most = f"each frame's boxes were {words}: frames numbered off by one", count
-    if most >= _LEAST and most > 2 * as_read + 5 and most > 0.3 * min(total, sum(map(len, ours.values()))):
+            best, most = f"each frame's boxes were {reading}: frames numbered off by one", count
+    if most >= _LEAST and most > 2 * as_read + 5 and most > 0.3 * min(total, sum(map(len, annotated_rows.values()))):
         return [f"{as_read} of {total} predicted boxes lie within 2 m of an annotated one; {most} would if {best}"]
     return [*_of_pairs(pairs)] if as_read >= _LEAST else []
 
@@ -236,60 +237,60 @@ _PLACES: Mapping[str, Callable[[Points], Points]] = {
 def _shifted(predicted: BoxesByFrame, keys: Sequence[Key], step: int) -> dict[Key, Points]:
     """The centres of the frames before or after, in the order of their names; none across sequences."""
     every = sorted({*predicted, *keys}, key=frame_order)
-    place = {key: number for number, key in enumerate(every)}
-    found: dict[Key, Points] = {}
+    index_of = {key: number for number, key in enumerate(every)}
+    centres: dict[Key, Points] = {}
     for key in keys:
-        number = place[key] + step
+        number = index_of[key] + step
         other = every[number] if 0 <= number < len(every) else None
         near = other is not None and other[0] == key[0] and other in predicted
-        found[key] = predicted[other].centre_m if near and other is not None else np.zeros((0, 3))
-    return found
+        centres[key] = predicted[other].centre_m if near and other is not None else np.zeros((0, 3))
+    return centres
 
 
-def _nearest(theirs: Points, ours: Float[np.ndarray, "m 7"]) -> tuple[np.ndarray, np.ndarray]:
+def _nearest(predicted: Points, annotated: Float[np.ndarray, "m 7"]) -> tuple[np.ndarray, np.ndarray]:
     """Rows of predicted boxes near an annotated one, each of these taken once, and which it is."""
-    if not len(theirs) or not len(ours):
+    if not len(predicted) or not len(annotated):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    gap = np.hypot(*(theirs[:, None, axis] - ours[None, :, axis] for axis in (0, 1)))
+    gap = np.hypot(*(predicted[:, None, axis] - annotated[None, :, axis] for axis in (0, 1)))
     best = gap.argmin(axis=0)  # for each annotated box the nearest prediction
-    near = np.flatnonzero(gap[best, np.arange(len(ours))] < _NEAR_M)
+    near = np.flatnonzero(gap[best, np.arange(len(annotated))] < _NEAR_M)
     rows, first = np.unique(best[near], return_index=True)
     return rows, near[first]
 
 
-def _count(theirs: Mapping[Key, Points], ours: Mapping[Key, np.ndarray]) -> int:
-    return sum(len(_nearest(points, ours[key])[0]) for key, points in theirs.items())
+def _count(predicted: Mapping[Key, Points], annotated: Mapping[Key, np.ndarray]) -> int:
+    return sum(len(_nearest(points, annotated[key])[0]) for key, points in predicted.items())
 
 
-def _paired(theirs: Mapping[Key, np.ndarray], ours: Mapping[Key, np.ndarray]) -> _PairedBoxes:
-    found = [(rows, ours[key], *_nearest(rows[:, :3], ours[key])) for key, rows in theirs.items()]
-    left = [rows[chosen] for rows, _, chosen, _ in found]
-    right = [rows[chosen] for _, rows, _, chosen in found]
+def _paired(predicted: Mapping[Key, np.ndarray], annotated: Mapping[Key, np.ndarray]) -> _PairedBoxes:
+    nearest = [(rows, annotated[key], *_nearest(rows[:, :3], annotated[key])) for key, rows in predicted.items()]
+    left = [rows[chosen] for rows, _, chosen, _ in nearest]
+    right = [rows[chosen] for _, rows, _, chosen in nearest]
     empty = np.zeros((0, 7))
     return _PairedBoxes(np.concatenate([empty, *left]), np.concatenate([empty, *right]))
 
 
 def _of_pairs(pairs: _PairedBoxes) -> Iterator[str]:
-    theirs, ours = pairs
-    share = (theirs[:, 2] - ours[:, 2]) / ours[:, 5]
+    predicted, annotated = pairs
+    share = (predicted[:, 2] - annotated[:, 2]) / annotated[:, 5]
     middle, spread = float(np.median(share)), float(np.subtract(*np.percentile(share, [75, 25])))
     if abs(abs(middle) - 0.5) < 0.15 and spread < 0.4:
         side = "bottom" if middle < 0 else "top"
         yield f"predicted boxes stand half their height off the annotated ones: z is a box's middle, not its {side}"
-    ratio = np.median(theirs[:, 3:6] / ours[:, 3:6], axis=0)
-    for factor, words in ((0.5, "half"), (2.0, "twice")):
+    ratio = np.median(predicted[:, 3:6] / annotated[:, 3:6], axis=0)
+    for factor, amount in ((0.5, "half"), (2.0, "twice")):
         if (np.abs(ratio / factor - 1) < 0.2).all():
-            yield f"predicted sizes are {words} the annotated ones on all three sides: l, w, h are full sizes"
-    long = ours[:, 3] > _LONG * ours[:, 4]
+            yield f"predicted sizes are {amount} the annotated ones on all three sides: l, w, h are full sizes"
+    long = annotated[:, 3] > _LONG * annotated[:, 4]
     if np.count_nonzero(long) < _LEAST:
         return
-    theirs, ours = theirs[long], ours[long]
-    kept = np.abs(np.log(theirs[:, 3:5] / ours[:, 3:5])).sum(axis=1)
-    swapped = np.abs(np.log(theirs[:, 4:2:-1] / ours[:, 3:5])).sum(axis=1)
-    if np.median(swapped) < 0.4 < np.median(kept):
+    predicted, annotated = predicted[long], annotated[long]
+    as_read = np.abs(np.log(predicted[:, 3:5] / annotated[:, 3:5])).sum(axis=1)
+    swapped = np.abs(np.log(predicted[:, 4:2:-1] / annotated[:, 3:5])).sum(axis=1)
+    if np.median(swapped) < 0.4 < np.median(as_read):
         yield "predicted boxes fit the annotated ones with length and width exchanged: l is the side along the heading"
         return
-    yield from _headings(theirs[:, 6], ours[:, 6])
+    yield from _headings(predicted[:, 6], annotated[:, 6])
 
 
 _YAWS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -301,16 +302,16 @@ _YAWS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-def _headings(theirs: Float[np.ndarray, " n"], ours: Float[np.ndarray, " n"]) -> Iterator[str]:
+def _headings(predicted: Float[np.ndarray, " n"], annotated: Float[np.ndarray, " n"]) -> Iterator[str]:
     """Median error of the headings modulo half a turn, as read and as they may be meant."""
-    if _apart(theirs, ours) < 0.3:
+    if _apart(predicted, annotated) < 0.3:
         return
-    fits = {words: _apart(change(theirs), ours) for words, change in _YAWS.items()}
+    fits = {words: _apart(change(predicted), annotated) for words, change in _YAWS.items()}
     best = min(fits, key=lambda words: fits[words])
     if fits[best] < 0.15:
         yield (
-            f"predicted headings differ from the annotated ones by {np.rad2deg(_apart(theirs, ours)):.0f} degrees "
-            f"(median), by {np.rad2deg(fits[best]):.0f} if yaw is {best}"
+            f"predicted headings differ from the annotated ones by {np.rad2deg(_apart(predicted, annotated)):.0f} "
+            f"degrees (median), by {np.rad2deg(fits[best]):.0f} if yaw is {best}"
         )
 
 

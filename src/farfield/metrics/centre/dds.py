@@ -1,8 +1,15 @@
-"""DDS and wDDS, the scores of the Cirrus paper (section IV.A).
+"""DDS and wDDS, the scores of the Cirrus paper (Wang et al., ICRA 2021, section IV.A), for one class.
 
-DDS is the mean of mAP and aIoU. mAP averages the AP at centre distances of 0.5, 1, 2 and 4 m; aIoU is the overlap of
-matched boxes with centres aligned. wDDS widens each threshold by omega = exp(epsilon d) (equation 2), so that a
-far object may be located less exactly. What the paper leaves open is an option of :class:`DdsSettings`.
+A prediction matches the nearest free annotated box if their centres are nearer than omega t, for a threshold t:
+
+    omega = exp(epsilon d)                          (equation 2; d: range of the box, epsilon 0: DDS, more: wDDS)
+    mAP   = mean of AP(t) over t = 0.5, 1, 2, 4 m
+    aIoU  = mean over the matches at 2 m of the IoU of the two boxes, their centres put on each other
+    DDS   = (mAP + aIoU) / 2
+
+so that with wDDS a far object may be located less exactly: at epsilon 0.006 and 250 m thresholds are 4.5 times as
+wide. AP and the mean over the matches are those of nuScenes, see :mod:`farfield.metrics.curves`. What the paper leaves
+open is an option of :class:`DdsSettings`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,10 +39,10 @@ class DdsResult(Result):
         counts = self.counts["ranges"] | {"overall": self.counts}
         rows = []
         for part in [*self.ranges, "overall", "mean_of_bins"]:
-            found = counts.get(part, {"annotated": "", "predictions": ""})
+            boxes_of_part = counts.get(part, {"annotated": "", "predictions": ""})
             for row, epsilon in enumerate(self.settings["epsilons"]):
                 name = part.replace("_", " ") if row == 0 else ""
-                boxes = [str(found["annotated"]), str(found["predictions"])] if row == 0 else ["", ""]
+                boxes = [str(boxes_of_part["annotated"]), str(boxes_of_part["predictions"])] if row == 0 else ["", ""]
                 figures = [self.cell(part, f"dds/{epsilon:g}/{figure}") for figure in ("dds", "map", "aiou")]
                 rows.append([name, *boxes, f"{epsilon:g}", *figures])
         title = f"DDS (epsilon 0) and wDDS of {self.label!r}, by range in metres; '-': nothing annotated"
@@ -76,11 +83,11 @@ class DdsPresenter(CentrePresenter):
 
     def title(self, figure: str) -> str:
         """DDS, wDDS with its epsilon, mAP, aIoU."""
-        words = figure.split("/")
-        if words[0] != "dds" or len(words) != 3:
+        path = figure.split("/")
+        if path[0] != "dds" or len(path) != 3:
             return super().title(figure)
-        score = "DDS" if words[1] == "0" else f"wDDS {words[1]}"
-        return {"dds": score, "map": "mAP", "aiou": "aIoU"}.get(words[2], words[2])
+        score = "DDS" if path[1] == "0" else f"wDDS {path[1]}"
+        return {"dds": score, "map": "mAP", "aiou": "aIoU"}.get(path[2], path[2])
 
     def presentation(self, result: Mapping[str, Any]) -> Presentation:
         """DDS with its mAP, wDDS, and what they are made of."""

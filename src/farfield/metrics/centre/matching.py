@@ -105,7 +105,7 @@ def found_by(predictions: Boxes, annotated: Boxes, *, distance_m: float = 2.0) -
         return finder
     score = np.zeros(len(predictions)) if predictions.score is None else predictions.score
     one_frame = np.zeros(len(predictions), dtype=np.int64)
-    taken = greedy_match(
+    assigned = greedy_match(
         predictions.centre_m[:, :2],
         one_frame,
         rank_predictions(score, one_frame),
@@ -113,7 +113,7 @@ def found_by(predictions: Boxes, annotated: Boxes, *, distance_m: float = 2.0) -
         np.zeros(len(annotated), dtype=np.int64),
         Limits(threshold_m=np.array([distance_m])),
     )[0]
-    finder[taken[taken >= 0]] = np.flatnonzero(taken >= 0)
+    finder[assigned[assigned >= 0]] = np.flatnonzero(assigned >= 0)
     return finder
 
 
@@ -161,7 +161,7 @@ def _play(
     box = boxes.index[np.where(absent, boxes.start[frames][:, None], boxes.start[frames][:, None] + slot)]
     centre_m = annotated_m[box]
     variant = np.arange(len(limits.threshold_m))[:, None]
-    taken = np.repeat(absent[None], len(variant), axis=0)
+    assigned = np.repeat(absent[None], len(variant), axis=0)
     for rank in range(int(ranked.count[frames].max())):
         active = int((ranked.count[frames] > rank).sum())
         row = np.arange(active)
@@ -173,13 +173,13 @@ def _play(
         cost: np.ndarray = distance_m[None]
         if limits.normalised and limits.omega_annotated is not None:
             cost = distance_m / limits.omega_annotated[:, box[:active]]
-        best = np.where(taken[:, :active], np.inf, cost).argmin(axis=2)
-        found = box[row, best]
+        best = np.where(assigned[:, :active], np.inf, cost).argmin(axis=2)
+        nearest = box[row, best]
         limit_m = limits.threshold_m[:, None]
         if limits.omega_annotated is not None:
-            limit_m = limit_m * limits.omega_annotated[variant, found]
+            limit_m = limit_m * limits.omega_annotated[variant, nearest]
         if limits.omega_predicted is not None:
             limit_m = limit_m * limits.omega_predicted[:, predicted]
-        hit = ~taken[variant, row, best] & (distance_m[row, best] < limit_m)
-        taken[variant, row, best] |= hit & ~ignored[found]
-        result[:, predicted] = np.where(hit, np.where(ignored[found], DROPPED, found), NO_MATCH)
+        hit = ~assigned[variant, row, best] & (distance_m[row, best] < limit_m)
+        assigned[variant, row, best] |= hit & ~ignored[nearest]
+        result[:, predicted] = np.where(hit, np.where(ignored[nearest], DROPPED, nearest), NO_MATCH)

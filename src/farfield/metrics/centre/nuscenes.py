@@ -1,8 +1,14 @@
-"""The detection metrics of nuScenes as a named protocol, for one class of any data set.
+"""The detection metrics of nuScenes (Caesar et al., CVPR 2020, section 3.1), for one class of any data set.
 
-Centre distance in the x-y plane; AP above recall and precision 0.1 at 0.5, 1, 2 and 4 m; translation (metres), scale
-(1 - IoU of sizes) and orientation error (radians) of the matches at 2 m; score ties broken as the devkit does (later
-index first). Velocity and attributes are not scored, hence no NDS.
+A prediction matches the nearest free annotated box if their centres in the x-y plane are nearer than a threshold t:
+
+    AP(t) = mean over recalls r = 0.11 ... 1 of max(p(r) - 0.1, 0), over 0.9
+    mAP   = mean of AP(t) over t = 0.5, 1, 2, 4 m
+    translation error  distance of the centres, metres         } means over the matches at 2 m: the running mean by
+    scale error        1 - IoU of the sizes, aligned           } confidence, averaged over the recalls from 0.11 to the
+    orientation error  difference of the headings, radians     } highest one reached
+
+Score ties are broken as the devkit does (later index first). Velocity and attributes are not scored, hence no NDS.
 """
 
 from collections.abc import Collection, Mapping, Sequence

@@ -26,9 +26,9 @@ class CentrePresenter(Presenter):
 
     def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
         """Curves by largest distance, a panel for each epsilon that the page shows."""
-        known = (result.get("curves") or {}).get("overall") or {}
+        curves = (result.get("curves") or {}).get("overall") or {}
         return [
-            CurvePanel(self.panel_title(name), _lines(name, known[name])) for name in self.shown_epsilons(list(known))
+            CurvePanel(self.panel_title(name), _lines(name, curves[name])) for name in self.shown_epsilons(list(curves))
         ]
 
     def shown_epsilons(self, names: Sequence[str]) -> list[str]:
@@ -53,10 +53,10 @@ class CentreProtocol(Protocol):
 
     def depends_on(self, settings: Mapping[str, Any], *, by_range: bool = False) -> dict[str, Any]:
         """As of every protocol; of the epsilons the first, for which AP and errors hold: wDDS names its own."""
-        kept = super().depends_on(settings, by_range=by_range)
-        if isinstance(kept.get("epsilons"), list):
-            kept["epsilons"] = kept["epsilons"][:1]
-        return kept
+        options = super().depends_on(settings, by_range=by_range)
+        if isinstance(options.get("epsilons"), list):
+            options["epsilons"] = options["epsilons"][:1]
+        return options
 
     def weighted(self, detections: Detections, settings: CentreSettings) -> Weighted:
         """The figures of the region, of each bin and the mean of the bins as functions of group weights."""

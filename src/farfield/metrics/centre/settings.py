@@ -99,8 +99,8 @@ class CentreSettings:
         if not (aiou_m == "all" or (isinstance(aiou_m, int | float) and aiou_m > 0)):
             raise ConfigError(f"aiou_threshold_m: expected a positive distance or 'all', got {aiou_m!r}")
         if self.max_boxes < 1 or self.min_points < 0:
-            found = f"{self.max_boxes} and {self.min_points}"
-            raise ConfigError(f"expected max_boxes of at least 1 and min_points of at least 0, got {found}")
+            limits = f"{self.max_boxes} and {self.min_points}"
+            raise ConfigError(f"expected max_boxes of at least 1 and min_points of at least 0, got {limits}")
         if self.label in self.ignore:
             raise ConfigError(f"label: {self.label!r} is also ignored; take it out of ignore to score it")
 

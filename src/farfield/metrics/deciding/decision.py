@@ -1,4 +1,9 @@
-"""The decision on a claim: holds, holds not, or undecided; and the same after correcting for many claims."""
+"""The decision on a claim: holds, holds not, or undecided; the same after correcting for many claims; and its power.
+
+The interval D +- t(0.975, df) sqrt(s_seed^2 / n + s_seq^2) of a difference D decides. Holm's correction (1979)
+multiplies the k-th smallest of m p-values by m - k + 1. The power is the probability of "holds" for a true difference, D
+being normal with that variance and s_seed estimated with df degrees of freedom (chi squared).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -75,36 +80,36 @@ class Decision:
         return self.verdict + ("" if self.small is None else f" and smaller than {self.small:g}")
 
     def __str__(self) -> str:
-        found, interval = self.difference, self.difference.interval()
-        if found.estimate is None:
+        difference, interval = self.difference, self.difference.interval()
+        if difference.estimate is None:
             return self.words
         spans = "" if interval is None else f" [{interval[0]:+.3f}, {interval[1]:+.3f}]"
-        seeds = f", n {found.n}" if found.trained else ""
-        return f"{found.estimate:+.3f}{spans}{seeds}: {self.words}"
+        seeds = f", n {difference.n}" if difference.trained else ""
+        return f"{difference.estimate:+.3f}{spans}{seeds}: {self.words}"
 
     def to_json(self) -> dict[str, Any]:
         """All of it as JSON values."""
         claimed = {"kind": self.hypothesis.kind, "margin": self.hypothesis.margin}
-        known = {"verdict": self.verdict, "words": self.words, "p": self.p, "small": self.small}
-        return {**known, "claim": claimed, "difference": self.difference.to_json()}
+        outcome = {"verdict": self.verdict, "words": self.words, "p": self.p, "small": self.small}
+        return {**outcome, "claim": claimed, "difference": self.difference.to_json()}
 
 
-def decide(found: Difference, hypothesis: Hypothesis | None = None, *, small: float = SMALL) -> Decision:
+def decide(difference: Difference, hypothesis: Hypothesis | None = None, *, small: float = SMALL) -> Decision:
     """Decide a claim on a difference.
 
     It holds where the whole interval lies within the claimed bounds, holds not where it lies wholly outside them, and
     is undecided else. One seed or one sequence decides nothing.
 
     Args:
-        found: The difference, with the pooled spread of its grid.
+        difference: The difference, with the pooled spread of its grid.
         hypothesis: What is claimed; None: that A lies above B.
         small: An undecided difference whose interval lies within so much of 0 is called small.
     """
     hypothesis = hypothesis or Hypothesis()
-    interval = found.interval()
-    reason = _reason(found)
+    interval = difference.interval()
+    reason = _reason(difference)
     if reason or interval is None:
-        return Decision(verdict="no decision", difference=found, hypothesis=hypothesis, reason=reason)
+        return Decision(verdict="no decision", difference=difference, hypothesis=hypothesis, reason=reason)
     (low, high), (least, most) = interval, hypothesis.bounds
     verdict: Verdict = "undecided"
     if low > least and high < most:
@@ -114,45 +119,45 @@ def decide(found: Difference, hypothesis: Hypothesis | None = None, *, small: fl
     near = verdict == "undecided" and -small < low and high < small
     return Decision(
         verdict=verdict,
-        difference=found,
+        difference=difference,
         hypothesis=hypothesis,
         small=small if near else None,
-        p=_two_sided(found, hypothesis),
+        p=_two_sided(difference, hypothesis),
     )
 
 
-def _reason(found: Difference) -> str:
+def _reason(difference: Difference) -> str:
     """Why there is no decision; empty where there is one."""
-    if found.estimate is None:
+    if difference.estimate is None:
         return "no figure"
-    if found.s_seq is None:
+    if difference.s_seq is None:
         return "too few sequences have a figure"
-    if found.grouped_by == "frames" or found.groups < 2:
+    if difference.grouped_by == "frames" or difference.groups < 2:
         return "one sequence"
-    if found.trained and found.n < 2:
+    if difference.trained and difference.n < 2:
         return "one seed"
     return ""
 
 
-def _two_sided(found: Difference, hypothesis: Hypothesis) -> float:
+def _two_sided(difference: Difference, hypothesis: Hypothesis) -> float:
     """Twice the smaller of the one-sided probabilities that the decision, either way, is by chance."""
     least, most = hypothesis.bounds
-    above_least, below_most = _tail(found, least), _tail(found, most, below=True)
+    above_least, below_most = _tail(difference, least), _tail(difference, most, below=True)
     holds = max(above_least, below_most)
     fails = min(1 - above_least, 1 - below_most)
     return min(1.0, 2 * min(holds, fails))
 
 
-def _tail(found: Difference, bound: float, *, below: bool = False) -> float:
+def _tail(difference: Difference, bound: float, *, below: bool = False) -> float:
     """Probability of a difference as far above a bound (or below it), were the bound the truth."""
     if np.isinf(bound):
         return 0.0
-    distance = (found.estimate or 0.0) - bound
+    distance = (difference.estimate or 0.0) - bound
     distance = -distance if below else distance
-    error = found.error or 0.0
+    error = difference.error or 0.0
     if error == 0:
         return 0.5 if distance == 0 else float(distance < 0)
-    return float(stats.t.sf(distance / error, found.df))
+    return float(stats.t.sf(distance / error, difference.df))
 
 
 def holm(decisions: Sequence[Decision], *, level: float = LEVEL) -> list[Decision]:
@@ -176,7 +181,7 @@ def holm(decisions: Sequence[Decision], *, level: float = LEVEL) -> list[Decisio
     return adjusted
 
 
-# MERGED """How likely a claim is to be decided: what a grid of so many seeds and sequences can show."""
+# Power: how likely a claim is to be decided with so many seeds and sequences
 
 _TAIL = 1e-9  # of the distribution of the estimated spread, left out on either side
 
@@ -218,8 +223,8 @@ def power(
         return float(decided(np.array(freedom if np.isfinite(freedom) else 1.0)))
     low, high = float(stats.chi2.ppf(_TAIL, freedom)), float(stats.chi2.ppf(1 - _TAIL, freedom))
     weighted = partial(_weighted, decided, freedom)
-    found, _ = integrate.quad(weighted, low, high, limit=200, points=[freedom], epsabs=1e-7, epsrel=1e-7)
-    return float(min(max(found, 0.0), 1.0))
+    probability, _ = integrate.quad(weighted, low, high, limit=200, points=[freedom], epsabs=1e-7, epsrel=1e-7)
+    return float(min(max(probability, 0.0), 1.0))
 
 
 def half_width(*, s_seed: float, s_seq: float, n: int, df: float | int | None = None, level: float = LEVEL) -> float:
@@ -256,6 +261,6 @@ def _decided(
 ) -> Float[np.ndarray, ""]:
     """Probability of "holds" where the estimated variance is ``s_seed^2 squares / freedom``."""
     share = 1.0 if np.isinf(freedom) else squares / freedom
-    reach = stats.t.ppf((1 + level) / 2, freedom) * np.sqrt(s_seed**2 * share / n + s_seq**2)
-    low, high = least + reach, most - reach
+    half_width_of_interval = stats.t.ppf((1 + level) / 2, freedom) * np.sqrt(s_seed**2 * share / n + s_seq**2)
+    low, high = least + half_width_of_interval, most - half_width_of_interval
     return np.asarray(np.maximum(stats.norm.cdf((high - true) / error) - stats.norm.cdf((low - true) / error), 0.0))

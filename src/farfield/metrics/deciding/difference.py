@@ -1,4 +1,9 @@
-"""Differences between two rows of a table, paired by seed, and how far they scatter."""
+"""Differences between two rows of a table, paired by seed, and how far they scatter.
+
+A :class:`ScoreSample` is one number of one run, and the same number under draws of its sequences (:func:`sample`). Two
+rows of samples give a :class:`Difference` D: the mean over n seeds of a_s - b_s, with the spread over seeds s_seed and
+the standard deviation s_seq of D under the draws, which are the same for both rows and all seeds.
+"""
 
 import hashlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -15,8 +20,6 @@ from farfield.frame.drive import Key
 from farfield.metrics.bootstrap import Draws, Statistics, Weighted, evaluate_once, replicate_weights
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.frames import frame_order
-
-# MERGED """One number of a run, and the same number under draws of its sequences."""
 
 REPLICATES = 1000
 """Draws of the sequences."""
@@ -40,8 +43,8 @@ class Scalar:
         return Scalar(self.terms + tuple((part, name, -factor) for part, name, factor in other.terms))
 
     def __str__(self) -> str:
-        words = [f"{factor:+g} {name} ({part})" for part, name, factor in self.terms]
-        return " ".join(words).removeprefix("+1 ").replace("+1 ", "+ ").replace("-1 ", "- ")
+        texts = [f"{factor:+g} {name} ({part})" for part, name, factor in self.terms]
+        return " ".join(texts).removeprefix("+1 ").replace("+1 ", "+ ").replace("-1 ", "- ")
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -108,7 +111,7 @@ class ScoreSample:
 
 
 def sample(
-    found: Detections,
+    detections: Detections,
     scalar: Scalar,
     *,
     protocol: str | Protocol = "dds",
@@ -121,7 +124,7 @@ def sample(
     Only the parts that the number needs are evaluated; fewer ``epsilons`` or ``ious`` among the settings save time.
 
     Args:
-        found: What a detector found.
+        detections: What a detector found.
         scalar: The number.
         protocol: The protocol or its name.
         replicates: How many draws.
@@ -131,11 +134,11 @@ def sample(
     Raises:
         ConfigError: If the protocol, a setting, a part or a figure is unknown, or the protocol cannot be resampled.
     """
-    return samples(found, {"": scalar}, protocol=protocol, replicates=replicates, seed=seed, **settings)[""]
+    return samples(detections, {"": scalar}, protocol=protocol, replicates=replicates, seed=seed, **settings)[""]
 
 
 def samples(
-    found: Detections,
+    detections: Detections,
     scalars: Mapping[str, Scalar],
     *,
     protocol: str | Protocol = "dds",
@@ -147,7 +150,7 @@ def samples(
     """Several numbers of a run, each part of the result evaluated once a draw.
 
     Args:
-        found: What a detector found.
+        detections: What a detector found.
         scalars: The numbers by name.
         protocol: The protocol or its name.
         replicates: How many draws.
@@ -159,7 +162,7 @@ def samples(
         ConfigError: As of :func:`sample`.
     """
     chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
-    counted = found.counted()
+    counted = detections.counted()
     resolved = chosen.settings(counted, **settings)
     weighted = chosen.weighted(counted, resolved)
     keys = sorted(counted.annotations, key=frame_order)
@@ -173,7 +176,7 @@ def samples(
     unknown = [part for part in parts if part not in weighted.parts]
     if unknown:
         raise ConfigError(f"part: expected some of {', '.join(weighted.parts)}; got {', '.join(unknown)}")
-    beyond = _beyond_reach(resolved, found.reach_m)
+    beyond = _beyond_reach(resolved, detections.reach_m)
     figures = partial(_scalars_under, weighted, scalars, tuple(part for part in parts if part not in beyond), index)
     drawn = replicate_weights(groups, replicates, np.random.default_rng(seed)) if groups else np.zeros((replicates, 0))
     values = evaluate_once(figures, np.concatenate([np.ones((1, groups)), drawn]))[""]
@@ -218,17 +221,22 @@ def _scalars_under(
 
 
 def _of_frames(
-    protocol: Protocol, found: Detections, settings: Any, whole: Weighted, keys: Sequence[Key], frames: Collection[Key]
+    protocol: Protocol,
+    detections: Detections,
+    settings: Any,
+    whole_weighted: Weighted,
+    keys: Sequence[Key],
+    frames: Collection[Key],
 ) -> tuple[Weighted, Int[np.ndarray, " some"]]:
     """The figures of some frames, and of each of their groups which one of the whole it is."""
     selected = [key for key in keys if key in frames]
     some = replace(
-        found,
-        boxes={key: found.boxes[key] for key in selected},
-        annotations={key: found.annotations[key] for key in selected},
+        detections,
+        boxes={key: detections.boxes[key] for key in selected},
+        annotations={key: detections.annotations[key] for key in selected},
     )
     weighted = protocol.weighted(some, settings)
-    group_of = dict(zip(keys, whole.groups, strict=True))
+    group_of = dict(zip(keys, whole_weighted.groups, strict=True))
     index = np.zeros(max(weighted.groups, default=-1) + 1, dtype=np.int64)
     index[list(weighted.groups)] = [group_of[key] for key in selected]
     return weighted, index
@@ -242,15 +250,15 @@ def drawn_values(
     seed: int = 0,
 ) -> Float[np.ndarray, " replicates"]:
     """A number under draws of groups, NaN where it is None."""
-    known: dict[bytes, float] = {}  # few groups are drawn alike again and again
+    value_of_draw: dict[bytes, float] = {}  # few groups are drawn alike again and again
     values = np.full(replicates, np.nan)
     weights = replicate_weights(groups, replicates, np.random.default_rng(seed)) if groups else np.zeros((0, 0))
     for row, weight in enumerate(weights):
         key = weight.tobytes()
-        if key not in known:
+        if key not in value_of_draw:
             value = value_of(weight)
-            known[key] = np.nan if value is None else value
-        values[row] = known[key]
+            value_of_draw[key] = np.nan if value is None else value
+        values[row] = value_of_draw[key]
     return values
 
 
@@ -344,8 +352,8 @@ class Difference:
         """D +- t((1 + level) / 2, df) times its standard error; None where there is no figure."""
         if self.estimate is None or self.error is None:
             return None
-        reach = float(stats.t.ppf((1 + level) / 2, self.df)) * self.error
-        return self.estimate - reach, self.estimate + reach
+        half_width = float(stats.t.ppf((1 + level) / 2, self.df)) * self.error
+        return self.estimate - half_width, self.estimate + half_width
 
     def with_pooled(self, spread: Spread | None) -> "Difference":
         """The same with the spread of the grid."""
@@ -359,7 +367,7 @@ class Difference:
             "interval": self.interval(),
             "n": self.n,
             "by_seed": list(self.by_seed),
-            "s_seed": {name: None if found is None else found.s for name, found in spreads.items()},
+            "s_seed": {name: None if spread is None else spread.s for name, spread in spreads.items()},
             "s_seq": self.s_seq,
             "df": self.df if np.isfinite(self.df) else None,
             "groups": self.groups,
@@ -398,7 +406,10 @@ def difference(
     """
     scalars = (scalar, scalar if b_scalar is None else b_scalar)
     rows = [
-        [sample(found, which, protocol=protocol, replicates=replicates, seed=seed, **settings) for found in row]
+        [
+            sample(detections, which, protocol=protocol, replicates=replicates, seed=seed, **settings)
+            for detections in row
+        ]
         for row, which in zip((a, b), scalars, strict=True)
     ]
     return difference_of(*rows)
@@ -420,10 +431,10 @@ def difference_of(a: Sequence[ScoreSample], b: Sequence[ScoreSample]) -> Differe
             "both on one set, with equal replicates and seed"
         )
     pairs = [(one.value, other.value) for one, other in zip(a, b, strict=True)]
-    found = [one - other for one, other in pairs if one is not None and other is not None]
+    differences = [one - other for one, other in pairs if one is not None and other is not None]
     drawn = np.mean([one.draws - other.draws for one, other in zip(a, b, strict=True)], axis=0)
     return Difference(
-        by_seed=tuple(found) if len(found) == len(pairs) else (),
+        by_seed=tuple(differences) if len(differences) == len(pairs) else (),
         s_seq=_spread_of(drawn),
         groups=a[0].groups,
         grouped_by=a[0].grouped_by,
@@ -452,10 +463,10 @@ def measured(
 
 
 def _spread_of(drawn: Float[np.ndarray, " replicates"]) -> float | None:
-    known = drawn[np.isfinite(drawn)]
-    if len(known) < max(2, _LEAST_DRAWN * len(drawn)):
+    finite = drawn[np.isfinite(drawn)]
+    if len(finite) < max(2, _LEAST_DRAWN * len(drawn)):
         return None
-    return float(np.std(known, ddof=1))
+    return float(np.std(finite, ddof=1))
 
 
 def pooled(differences: Iterable[Difference]) -> Spread | None:
@@ -464,6 +475,6 @@ def pooled(differences: Iterable[Difference]) -> Spread | None:
     Args:
         differences: The pairs; those of one seed are passed over.
     """
-    own = [found.own for found in differences if found.trained and found.own is not None]
-    df = sum(found.df for found in own)
-    return Spread(float(np.sqrt(sum(found.df * found.s**2 for found in own) / df)), df) if own else None
+    own = [spread.own for spread in differences if spread.trained and spread.own is not None]
+    df = sum(spread.df for spread in own)
+    return Spread(float(np.sqrt(sum(spread.df * spread.s**2 for spread in own) / df)), df) if own else None

@@ -34,7 +34,7 @@ class SwitchingResult:
 
 
 def best_by(
-    found: Mapping[str, Detections],
+    detections: Mapping[str, Detections],
     kind: str = "road",
     *,
     scalar: Scalar = DDS,
@@ -44,13 +44,13 @@ def best_by(
     """The cloud whose figure is highest in each scenario; the first one where figures are equal or none is known.
 
     Args:
-        found: Detections of the same frames by cloud.
+        detections: Detections of the same frames by cloud.
         kind: What the scenario is: ``"road"``, ``"weather"`` or ``"time"``.
         scalar: The figure.
         protocol: The protocol or its name.
         **settings: Its settings.
     """
-    parted = {cloud: parts(each, (kind,)).get(kind, {}) for cloud, each in found.items()}
+    parted = {cloud: parts(each, (kind,)).get(kind, {}) for cloud, each in detections.items()}
     chosen: dict[str, tuple[float, str]] = {}
     for cloud, values in parted.items():
         for value, part in values.items():
@@ -62,29 +62,29 @@ def best_by(
     return {value: cloud for value, (_, cloud) in chosen.items()}
 
 
-def switch(found: Mapping[str, Detections], choice: Mapping[Key, str]) -> Detections:
+def switch(detections: Mapping[str, Detections], choice: Mapping[Key, str]) -> Detections:
     """Each frame as one of the clouds saw it.
 
     Args:
-        found: Detections of the same frames by cloud.
+        detections: Detections of the same frames by cloud.
         choice: The cloud of each frame.
     """
-    first = next(iter(found.values()))
+    first = next(iter(detections.values()))
     return replace(
         first,
         cloud=None,
-        boxes={key: found[cloud].boxes[key] for key, cloud in choice.items() if key in found[cloud].boxes},
-        annotations={key: found[cloud].annotations[key] for key, cloud in choice.items()},
+        boxes={key: detections[cloud].boxes[key] for key, cloud in choice.items() if key in detections[cloud].boxes},
+        annotations={key: detections[cloud].annotations[key] for key, cloud in choice.items()},
     )
 
 
 def switched(
-    found: Mapping[str, Detections], kind: str = "road", *, folds: int = 2, seed: int = 0, **learning: Any
+    detections: Mapping[str, Detections], kind: str = "road", *, folds: int = 2, seed: int = 0, **learning: Any
 ) -> SwitchingResult:
     """The rule "in each scenario the cloud that is best there", learnt on other drives than it is used on.
 
     Args:
-        found: Detections of the same frames by cloud.
+        detections: Detections of the same frames by cloud.
         kind: What the scenario is.
         folds: How many parts the drives are split into; the choice for each is learnt on all others.
         seed: Of the split.
@@ -93,7 +93,7 @@ def switched(
     Raises:
         ConfigError: If the clouds' frames differ, a scenario is not known, or there are fewer drives than folds.
     """
-    counted = {cloud: each.counted() for cloud, each in found.items()}
+    counted = {cloud: each.counted() for cloud, each in detections.items()}
     first = next(iter(counted.values()))
     keys = sorted(first.annotations, key=frame_order)
     if any(set(each.annotations) != set(keys) for each in counted.values()):
@@ -113,16 +113,16 @@ def switched(
         choices.append(learnt)
         for key, its in zip(keys, fold, strict=True):
             if its == number:
-                choice[key] = learnt.get(first.conditions[key][kind], next(iter(found)))
+                choice[key] = learnt.get(first.conditions[key][kind], next(iter(detections)))
     return SwitchingResult(found=switch(counted, choice), choices=tuple(choices))
 
 
-def _only(found: Detections, keys: set[Key]) -> Detections:
+def _only(detections: Detections, keys: set[Key]) -> Detections:
     return replace(
-        found,
-        boxes={key: boxes for key, boxes in found.boxes.items() if key in keys},
-        annotations={key: annotation for key, annotation in found.annotations.items() if key in keys},
-        conditions={key: known for key, known in found.conditions.items() if key in keys},
+        detections,
+        boxes={key: boxes for key, boxes in detections.boxes.items() if key in keys},
+        annotations={key: annotation for key, annotation in detections.annotations.items() if key in keys},
+        conditions={key: conditions for key, conditions in detections.conditions.items() if key in keys},
     )
 
 
@@ -147,5 +147,5 @@ def switching_gains(
         By cloud; see :func:`farfield.metrics.deciding.decide`.
     """
     seeds = [dict(zip(runs, each, strict=True)) for each in zip(*runs.values(), strict=True)]
-    rule = [switched(found, kind, scalar=scalar, **settings).found for found in seeds]
+    rule = [switched(run, kind, scalar=scalar, **settings).found for run in seeds]
     return {cloud: difference(rule, each, scalar, replicates=replicates, **settings) for cloud, each in runs.items()}

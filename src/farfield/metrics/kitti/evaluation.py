@@ -274,22 +274,22 @@ def gather_kitti(
     """Collect one class from all frames; the arguments are those of ``evaluate_kitti``."""
     check_frames(predictions, annotations)
     keys = sorted(annotations, key=frame_order)
-    found = [predictions.get(key, Boxes.empty(scored=True)) for key in keys]
-    given = [annotations[key] for key in keys]
-    predicted, annotated = flatten(found, scored=True), flatten(given, scored=False)
-    predicted_frame = np.repeat(np.arange(len(keys)), [len(part) for part in found])
-    annotated_frame = np.repeat(np.arange(len(keys)), [len(part) for part in given])
+    frame_predictions = [predictions.get(key, Boxes.empty(scored=True)) for key in keys]
+    frame_annotations = [annotations[key] for key in keys]
+    predicted, annotated = flatten(frame_predictions, scored=True), flatten(frame_annotations, scored=False)
+    predicted_frame = np.repeat(np.arange(len(keys)), [len(part) for part in frame_predictions])
+    annotated_frame = np.repeat(np.arange(len(keys)), [len(part) for part in frame_annotations])
     is_label = has_label(annotated, settings.label, settings.relabel)
     used = is_label.copy()
     for name in settings.ignore or ():
         used |= has_label(annotated, name, settings.relabel)
     used &= in_region(annotated, settings)
     scored = has_label(predicted, settings.label, settings.relabel) & in_region(predicted, settings)
-    box_px = detail_column(prediction_details, keys, found, "box_px", 4)
+    box_px = detail_column(prediction_details, keys, frame_predictions, "box_px", 4)
     harmless = np.zeros(len(predicted), dtype=bool)
     if settings.dontcare == "image":
         harmless = in_dontcare(box_px, predicted_frame, keys, annotation_details or {}, settings.least_overlap)
-    hardness = _hardness(annotation_details or {}, keys, given)
+    hardness = _hardness(annotation_details or {}, keys, frame_annotations)
     height_px = np.full(len(predicted), np.inf) if box_px is None else np.abs(box_px[:, 3] - box_px[:, 1])
     predicted, annotated = predicted[scored], annotated[used]
     predicted_frame, annotated_frame = predicted_frame[scored], annotated_frame[used]
@@ -321,8 +321,8 @@ def _pairs(
     """Pairs (annotated, predicted) of one frame whose circumscribed circles meet, in the order of the boxes."""
     box, detection = same_owner(annotated_frame, predicted_frame, frames)
     gap = annotated.centre_m[box, :2] - predicted.centre_m[detection, :2]
-    reach = (np.hypot(*annotated.size_m[:, :2].T)[box] + np.hypot(*predicted.size_m[:, :2].T)[detection]) / 2
-    near = (gap**2).sum(axis=1) < reach**2
+    radius_m = (np.hypot(*annotated.size_m[:, :2].T)[box] + np.hypot(*predicted.size_m[:, :2].T)[detection]) / 2
+    near = (gap**2).sum(axis=1) < radius_m**2
     return np.column_stack([box[near], detection[near]])
 
 
@@ -407,44 +407,44 @@ class Candidates:
     harmless: Bool[np.ndarray, "f d"]
 
 
-def recall_scores(found: Candidates) -> Float[np.ndarray, " h"]:
+def recall_scores(frames: Candidates) -> Float[np.ndarray, " h"]:
     """Scores of the detections that count as found when all detections are allowed, falling, shape (h,)."""
-    frame = np.arange(len(found.score))
-    assigned = np.zeros(found.score.shape, dtype=bool)
+    frame = np.arange(len(frames.score))
+    assigned = np.zeros(frames.score.shape, dtype=bool)
     scores = []
-    for box in range(found.choice.shape[1]):
-        place = found.choice[:, box]
-        free = (place >= 0) & ~assigned[frame[:, None], place]
-        best = np.where(free, found.score[frame[:, None], place], -np.inf).argmax(axis=1)
-        chosen, taken = place[frame, best], free[frame, best]
-        assigned[frame[taken], chosen[taken]] = True
-        true = taken & (found.counts[:, box] == 1) & ~found.small[frame, chosen]
-        scores.append(found.score[frame[true], chosen[true]])
+    for box in range(frames.choice.shape[1]):
+        detection = frames.choice[:, box]
+        free = (detection >= 0) & ~assigned[frame[:, None], detection]
+        best = np.where(free, frames.score[frame[:, None], detection], -np.inf).argmax(axis=1)
+        chosen, is_assigned = detection[frame, best], free[frame, best]
+        assigned[frame[is_assigned], chosen[is_assigned]] = True
+        true = is_assigned & (frames.counts[:, box] == 1) & ~frames.small[frame, chosen]
+        scores.append(frames.score[frame[true], chosen[true]])
     return np.sort(np.concatenate([np.zeros(0), *scores]))[::-1]
 
 
 def count_at_thresholds(
-    found: Candidates, thresholds: Float[np.ndarray, " t"]
+    frames: Candidates, thresholds: Float[np.ndarray, " t"]
 ) -> tuple[Int[np.ndarray, "t f"], Int[np.ndarray, "t f"]]:
     """True and false positives of every frame at every threshold, each of shape (thresholds, frames)."""
     t = np.arange(len(thresholds))[:, None, None]
-    allowed = found.score[None] >= thresholds[:, None, None]
+    allowed = frames.score[None] >= thresholds[:, None, None]
     assigned = np.zeros(allowed.shape, dtype=bool)
     true = np.zeros(allowed.shape[:2], dtype=np.int64)
-    for box in range(found.choice.shape[1]):
-        rows = np.flatnonzero((found.choice[:, box] >= 0).any(axis=1))
-        place = found.choice[rows, box]
-        free = (place >= 0) & allowed[t, rows[:, None], place] & ~assigned[t, rows[:, None], place]
-        small = found.small[rows[:, None], place]
+    for box in range(frames.choice.shape[1]):
+        rows = np.flatnonzero((frames.choice[:, box] >= 0).any(axis=1))
+        detection = frames.choice[rows, box]
+        free = (detection >= 0) & allowed[t, rows[:, None], detection] & ~assigned[t, rows[:, None], detection]
+        small = frames.small[rows[:, None], detection]
         # The largest overlap wins; a detection too small to count is taken only where there is no other, the first.
-        preference = np.where(small, -1.0 - np.arange(place.shape[1]), found.overlap[rows, box])
+        preference = np.where(small, -1.0 - np.arange(detection.shape[1]), frames.overlap[rows, box])
         best = np.where(free, preference, -np.inf).argmax(axis=2)
         row = np.arange(len(rows))
-        chosen = place[row, best]
-        taken = free[t[:, :, 0], row, best]
-        assigned[t[:, :, 0], rows, chosen] |= taken
-        true[:, rows] += taken & (found.counts[rows, box] == 1) & ~found.small[rows, chosen]
-    false = allowed & ~assigned & ~(found.small | found.harmless) & np.isfinite(found.score)
+        chosen = detection[row, best]
+        is_assigned = free[t[:, :, 0], row, best]
+        assigned[t[:, :, 0], rows, chosen] |= is_assigned
+        true[:, rows] += is_assigned & (frames.counts[rows, box] == 1) & ~frames.small[rows, chosen]
+    false = allowed & ~assigned & ~(frames.small | frames.harmless) & np.isfinite(frames.score)
     return true, false.sum(axis=2)
 
 
@@ -460,10 +460,10 @@ def _count(
     annotated = np.bincount(data.group[data.annotated_frame[must_find]], minlength=data.groups)
     small = data.height_px < (DIFFICULTIES[difficulty][0] if difficulty in DIFFICULTIES else 0.0)
     enough = data.overlap[measure] > settings.least_overlap
-    found = candidates(data, enough, measure, must_find, small, predicted_in, annotated_in)
+    frames = candidates(data, enough, measure, must_find, small, predicted_in, annotated_in)
     total = int(annotated.sum())
-    thresholds, recalls = sample_thresholds(recall_scores(found), total) if total else ([], [])
-    true, false = count_at_thresholds(found, np.array(thresholds, dtype=np.float64))
+    thresholds, recalls = sample_thresholds(recall_scores(frames), total) if total else ([], [])
+    true, false = count_at_thresholds(frames, np.array(thresholds, dtype=np.float64))
     return ThresholdCounts(
         thresholds=thresholds,
         recalls=recalls,
@@ -489,22 +489,22 @@ def candidates(
 ) -> Candidates:
     """Pad what one part, measure and difficulty needs by frame."""
     frames = len(data.group)
-    place, width = _places(data.predicted_frame, predicted_in, frames)
+    column, width = _places(data.predicted_frame, predicted_in, frames)
     slot, depth = _places(data.annotated_frame, annotated_in, frames)
-    kept = np.flatnonzero(enough & annotated_in[data.pair[:, 0]] & predicted_in[data.pair[:, 1]])
-    box, detection = data.pair[kept].T
+    pairs = np.flatnonzero(enough & annotated_in[data.pair[:, 0]] & predicted_in[data.pair[:, 1]])
+    box, detection = data.pair[pairs].T
     nth, choices = _places(box, np.ones(len(box), dtype=bool), len(data.annotated))
     choice = np.full((frames, depth, choices), -1)
     overlap = np.zeros(choice.shape)
-    choice[data.annotated_frame[box], slot[box], nth] = place[detection]
-    overlap[data.annotated_frame[box], slot[box], nth] = data.overlap[measure][kept]
+    choice[data.annotated_frame[box], slot[box], nth] = column[detection]
+    overlap[data.annotated_frame[box], slot[box], nth] = data.overlap[measure][pairs]
     counts = np.zeros((frames, depth), dtype=np.int64)
     counts[data.annotated_frame[must_find], slot[must_find]] = 1
     padded = {}
     score = np.zeros(0) if data.predicted.score is None else data.predicted.score
     for name, values, empty in (("score", score, -np.inf), ("small", small, False), ("harmless", data.harmless, False)):
         padded[name] = np.full((frames, width), empty)
-        padded[name][data.predicted_frame[predicted_in], place[predicted_in]] = values[predicted_in]
+        padded[name][data.predicted_frame[predicted_in], column[predicted_in]] = values[predicted_in]
     return Candidates(choice=choice, overlap=overlap, counts=counts, **padded)
 
 
@@ -513,6 +513,6 @@ def _places(
 ) -> tuple[Int[np.ndarray, " n"], int]:
     """Place of each kept row among those of its owner (rows are sorted by owner), and the largest number of rows."""
     count = np.bincount(owner[keep], minlength=owners)
-    place = np.zeros(len(owner), dtype=np.int64)
-    place[keep] = np.arange(int(keep.sum())) - np.repeat(np.cumsum(count) - count, count)
-    return place, max(int(count.max(initial=0)), 1)
+    index = np.zeros(len(owner), dtype=np.int64)
+    index[keep] = np.arange(int(keep.sum())) - np.repeat(np.cumsum(count) - count, count)
+    return index, max(int(count.max(initial=0)), 1)

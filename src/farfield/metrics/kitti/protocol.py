@@ -46,8 +46,8 @@ class KittiPresenter(Presenter):
 
     def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
         """A panel for each overlap, in space first."""
-        known = (result.get("curves") or {}).get("overall") or {}
-        named = {_MEASURES.get(name, name): known[name] for name in sorted(known)}
+        curves = (result.get("curves") or {}).get("overall") or {}
+        named = {_MEASURES.get(name, name): curves[name] for name in sorted(curves)}
         return [CurvePanel(panel.title, _moderate_first(panel.lines)) for panel in panels(named)]
 
 
@@ -124,6 +124,6 @@ def _line_rank(line: CurveLine) -> tuple[bool, int]:
 
 def facts_of(annotation: Annotation) -> dict[str, Any]:
     """What KITTI's measure takes of an annotation besides boxes: its 2D facts and the DontCare regions."""
-    known = {name: annotation.details[name] for name in FACTS if name in annotation.details}
+    columns = {name: annotation.details[name] for name in FACTS if name in annotation.details}
     regions = {name: annotation.unboxed[name] for name in ("dontcare_px",) if name in annotation.unboxed}
-    return known | regions
+    return columns | regions

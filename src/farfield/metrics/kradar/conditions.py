@@ -39,17 +39,17 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
     path = Path(path)
     if path.is_dir():
         described = {name: _description(path, name) for name in sequences}
-        found = {name: read_description(file) for name, file in described.items() if file is not None}
+        conditions = {name: read_description(file) for name, file in described.items() if file is not None}
     elif path.is_file():
-        found = _table(path)
+        conditions = _table(path)
     else:
         raise ConfigError(f"conditions: expected a CSV file or a folder of sequences, found nothing at {path}")
-    if keys and not set(found) & set(sequences):
+    if keys and not set(conditions) & set(sequences):
         raise ConfigError(
             f"conditions: expected the sequences of the labels ({', '.join(sequences[:5])}...) in {path}, got "
-            f"{', '.join(sorted(found)[:5]) or 'none'}"
+            f"{', '.join(sorted(conditions)[:5]) or 'none'}"
         )
-    return {key: found[key[0]] for key in keys if key[0] in found}
+    return {key: conditions[key[0]] for key in keys if key[0] in conditions}
 
 
 def _description(path: Path, name: str) -> Path | None:
@@ -59,7 +59,7 @@ def _description(path: Path, name: str) -> Path | None:
 
 def _table(path: Path) -> dict[str, dict[str, str]]:
     rows = csv.reader(io.StringIO(_text(path), newline=""), strict=True)
-    found: dict[str, dict[str, str]] = {}
+    conditions: dict[str, dict[str, str]] = {}
     try:
         header = [name.strip().lower() for name in next(rows, [])]
         if sorted(header) != sorted(_COLUMNS):
@@ -70,23 +70,23 @@ def _table(path: Path) -> dict[str, dict[str, str]]:
                 continue
             cells = dict(zip(header, (cell.strip() for cell in row), strict=False))
             name = cells.pop("sequence", "")
-            if len(row) != len(header) or not all([name, *cells.values()]) or name in found:
+            if len(row) != len(header) or not all([name, *cells.values()]) or name in conditions:
                 expected = "four filled cells, each sequence once"
                 raise FileFormatError(path, where=f"line {rows.line_num}", expected=expected, found=repr(row)[:100])
-            found[name] = {kind: condition_name(word) for kind, word in cells.items()}
+            conditions[name] = {kind: condition_name(word) for kind, word in cells.items()}
     except csv.Error as error:
         raise FileFormatError(
             path, where=f"line {rows.line_num}", expected="comma-separated text", found=str(error)
         ) from None
-    return found
+    return conditions
 
 
 def _text(path: Path) -> str:
     try:
         return read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"byte 0x{error.object[error.start]:02x}"
-        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=found) from None
+        value = f"byte 0x{error.object[error.start]:02x}"
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=value) from None
 
 
 def group_conditions(conditions: Mapping[Key, Mapping[str, str]], kind: str) -> tuple[str, ...]:

@@ -271,18 +271,18 @@ def match(
     there = data.annotated.kind == kind if annotated_in is None else (data.annotated.kind == kind) & annotated_in
     predictions, boxes = np.flatnonzero(here), np.flatnonzero(there)
     predictions = predictions[np.argsort(-data.predicted.score[predictions], kind="stable")]
-    place, row = np.full(len(data.predicted), -1), np.full(len(data.annotated), -1)
-    place[predictions], row[boxes] = np.arange(len(predictions)), np.arange(len(boxes))
-    kept = np.flatnonzero(here[data.pair[:, 1]] & there[data.pair[:, 0]])
-    box, detection = row[data.pair[kept, 0]], place[data.pair[kept, 1]]
+    rank, row = np.full(len(data.predicted), -1), np.full(len(data.annotated), -1)
+    rank[predictions], row[boxes] = np.arange(len(predictions)), np.arange(len(boxes))
+    pairs = np.flatnonzero(here[data.pair[:, 1]] & there[data.pair[:, 0]])
+    box, detection = row[data.pair[pairs, 0]], rank[data.pair[pairs, 1]]
     may = np.zeros(len(boxes), dtype=bool) if optional is None else optional[boxes]
     frame, score = data.annotated.frame[boxes], data.predicted.score[predictions]
-    found: dict[tuple[str, float], OverlapGains] = {}
+    gains_of: dict[tuple[str, float], OverlapGains] = {}
     for measure in MEASURES:
-        overlap = data.overlap[measure][kept]
+        overlap = data.overlap[measure][pairs]
         for iou in settings.ious:
             enough = overlap > iou
-            found[measure, iou] = gains(
+            gains_of[measure, iou] = gains(
                 box[enough],
                 detection[enough],
                 overlap[enough],
@@ -291,7 +291,9 @@ def match(
                 score=score,
                 order=predictions,
             )
-    return ClassMatches(score=score, frame=data.predicted.frame[predictions], annotated_frame=frame[~may], gains=found)
+    return ClassMatches(
+        score=score, frame=data.predicted.frame[predictions], annotated_frame=frame[~may], gains=gains_of
+    )
 
 
 def count(
@@ -364,12 +366,12 @@ def _figures(counted: _PartCounts, settings: KRadarSettings, weights: Float[np.n
     }
 
 
-def _nested(counts: dict[str, dict[str, Any]], given: int, cut: int) -> dict[str, Any]:
+def _nested(counts: dict[str, dict[str, Any]], frames_given: int, cut: int) -> dict[str, Any]:
     """Counts as the result holds them: the whole at the top, subsets by kind."""
     for part in counts.values():
         for name in ("annotated", "predictions"):
             part[name] = sum(boxes[name] for boxes in part["classes"].values())
-    tree = {**counts.pop("overall"), "frames_given": given, "predictions_cut": cut}
+    tree = {**counts.pop("overall"), "frames_given": frames_given, "predictions_cut": cut}
     tree |= {"ranges": {}, "conditions": {}, "visibility": {}}
     for name, part in counts.items():
         kind, _, value = name.partition("/")

@@ -105,9 +105,12 @@ def gather_kradar(
     """
     check_frames(predictions, annotations)
     keys = sorted(annotations, key=frame_order)
-    found, given = [predictions.get(key, _NONE) for key in keys], [annotations[key] for key in keys]
-    annotated = _side(given, settings, seen_by=_seen_by(keys, given, visibility), scored=False)
-    predicted = _side(found, settings, seen_by=None, scored=True)
+    frame_predictions, frame_annotations = (
+        [predictions.get(key, _NONE) for key in keys],
+        [annotations[key] for key in keys],
+    )
+    annotated = _side(frame_annotations, settings, seen_by=_seen_by(keys, frame_annotations, visibility), scored=False)
+    predicted = _side(frame_predictions, settings, seen_by=None, scored=True)
     annotated = annotated[_inside(annotated, settings)]
     if settings.outside == "dropped":
         predicted = predicted[_inside(predicted, settings)]
@@ -206,10 +209,10 @@ def _overlaps(
 ) -> dict[str, Float[np.ndarray, " p"]]:
     """Overlap of the pairs in the x-y plane and in space, from one clipping of the rectangles."""
     a, b = annotated[pair[:, 0]], predicted[pair[:, 1]]
-    flat = [0, 1, 3, 4, 6]
+    bev_columns = [0, 1, 3, 4, 6]
     turn = math.pi / 2 if settings.yaw == "as_shipped" else 0.0
     shift = np.array([0.0, 0.0, 0.0, 0.0, turn])
-    shared = bev_intersection_m2(a[:, flat] + shift, b[:, flat] + shift)
+    shared = bev_intersection_m2(a[:, bev_columns] + shift, b[:, bev_columns] + shift)
     top = np.minimum(*(side[:, 2] + side[:, 5] * (1 - settings.z_center) for side in (a, b)))
     bottom = np.maximum(*(side[:, 2] - side[:, 5] * settings.z_center for side in (a, b)))
     height = np.clip(top - bottom, 0.0, np.minimum(a[:, 5], b[:, 5]))
@@ -228,10 +231,10 @@ def _ratio(shared: Float[np.ndarray, " p"], both: Float[np.ndarray, " p"]) -> Fl
 def _seen_by(keys: list[Key], boxes: list[Boxes], visibility: Visibility | None) -> np.ndarray | None:
     if visibility is None:
         return None
-    words: list[str] = []
+    names: list[str] = []
     for key, part in zip(keys, boxes, strict=True):
-        known = visibility.get(key, ("",) * len(part))
-        if len(known) != len(part):
-            raise ConfigError(f"visibility[{key}]: expected one word for each of {len(part)} boxes, got {len(known)}")
-        words.extend(known)
-    return np.array(words, dtype=np.str_)
+        visible = visibility.get(key, ("",) * len(part))
+        if len(visible) != len(part):
+            raise ConfigError(f"visibility[{key}]: expected one word for each of {len(part)} boxes, got {len(visible)}")
+        names.extend(visible)
+    return np.array(names, dtype=np.str_)

@@ -54,19 +54,19 @@ def gains(
         order: Place of each prediction in its file: of equal scores or overlaps the first is chosen.
     """
     true, excused = np.zeros(len(score), dtype=np.int64), np.zeros(len(score), dtype=np.int64)
-    found = np.zeros(len(score), dtype=bool)
+    is_true = np.zeros(len(score), dtype=bool)
     alone = (np.bincount(box, minlength=len(frame))[box] == 1) & (np.bincount(detection)[detection] == 1)
     true[detection[alone]] = ~optional[box[alone]]
     excused[detection[alone]] = optional[box[alone]]
-    found[detection[alone]] = ~optional[box[alone]]
+    is_true[detection[alone]] = ~optional[box[alone]]
     if alone.all():
-        return OverlapGains(true=true, excused=excused, found=found)
+        return OverlapGains(true=true, excused=excused, found=is_true)
     rest = ~alone
     crowd = _ContestedPairs.of(
         box[rest], detection[rest], overlap[rest], frame=frame, optional=optional, score=score, order=order
     )
-    taken, chosen = crowd.allowing_all()
-    found[chosen] = taken
+    is_assigned, chosen = crowd.allowing_all()
+    is_true[chosen] = is_assigned
     for first, last in crowd.chunks():
         taken_true, taken_excused = crowd.allowing_prefixes(first, last)
         crowd.true[first:last], crowd.excused[first:last] = taken_true, taken_excused
@@ -74,7 +74,7 @@ def gains(
     leads[crowd.start] = True
     for total, gain in ((crowd.true, true), (crowd.excused, excused)):
         gain[crowd.detection] = total - np.where(leads, 0, np.roll(total, 1))
-    return OverlapGains(true=true, excused=excused, found=found)
+    return OverlapGains(true=true, excused=excused, found=is_true)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -113,8 +113,8 @@ class _ContestedPairs:
         unit_of = frame[box[first]]
         ranking = np.lexsort((order[members], -score[members], unit_of))
         ranked = members[ranking]
-        place = np.empty(len(score), dtype=np.int64)
-        place[ranked] = np.arange(len(ranked))
+        rank_of = np.empty(len(score), dtype=np.int64)
+        rank_of[ranked] = np.arange(len(ranked))
         _, unit, size = np.unique(unit_of[ranking], return_inverse=True, return_counts=True)
         chosen = np.unique(box)
         turn = np.lexsort((chosen, optional[chosen], frame[chosen]))
@@ -122,9 +122,9 @@ class _ContestedPairs:
         rank = np.empty(len(frame), dtype=np.int64)
         rank[chosen[turn]] = np.arange(len(chosen)) - (np.cumsum(boxes) - boxes)[box_unit]
         return cls(
-            pair_unit=unit[place[detection]],
+            pair_unit=unit[rank_of[detection]],
             pair_box=rank[box],
-            pair_place=place[detection],
+            pair_place=rank_of[detection],
             pair_overlap=overlap,
             pair_optional=optional[box],
             start=np.cumsum(size) - size,
@@ -152,9 +152,9 @@ class _ContestedPairs:
         order = np.lexsort((self.pair_place, self.pair_box))
         last = (self.start + self.size - 1)[self.pair_unit[order]]
         pair, _ = self._choose(order, last, self.pair_place[order], np.zeros(len(self.detection), dtype=bool))
-        taken = np.zeros(len(self.detection), dtype=bool)
-        taken[self.pair_place[pair]] = ~self.pair_optional[pair]
-        return taken, self.detection
+        is_true = np.zeros(len(self.detection), dtype=bool)
+        is_true[self.pair_place[pair]] = ~self.pair_optional[pair]
+        return is_true, self.detection
 
     def allowing_prefixes(self, first: int, last: int) -> tuple[Int[np.ndarray, " i"], Int[np.ndarray, " i"]]:
         """Boxes that find a prediction in each prefix from ``first`` to before ``last``: required and optional ones."""
@@ -167,9 +167,9 @@ class _ContestedPairs:
         width = self.size[self.unit[first:last]]
         seat = np.cumsum(width) - width - self.start[self.unit[first:last]]
         slot = seat[prefix - first] + self.pair_place[pair]
-        taken, where = self._choose(pair, prefix, slot, np.zeros(int(width.sum()), dtype=bool))
-        optional = self.pair_optional[taken]
-        counted = [np.bincount(where[kept] - first, minlength=last - first) for kept in (~optional, optional)]
+        chosen, where = self._choose(pair, prefix, slot, np.zeros(int(width.sum()), dtype=bool))
+        optional = self.pair_optional[chosen]
+        counted = [np.bincount(where[mask] - first, minlength=last - first) for mask in (~optional, optional)]
         return counted[0], counted[1]
 
     def _choose(
@@ -197,8 +197,8 @@ class _ContestedPairs:
         for low, high in pairwise(edges.tolist()):
             rows = low + np.flatnonzero(~assigned[slot[low:high]])
             best[prefix[rows[::-1]]] = rows[::-1]  # of equal indices the last one stays: the most preferred
-            taken = rows[best[prefix[rows]] == rows]
-            assigned[slot[taken]] = True
-            chosen.append(taken)
-        kept = np.concatenate([np.zeros(0, dtype=np.int64), *chosen])
-        return pair[kept], prefix[kept]
+            winners = rows[best[prefix[rows]] == rows]
+            assigned[slot[winners]] = True
+            chosen.append(winners)
+        assignment = np.concatenate([np.zeros(0, dtype=np.int64), *chosen])
+        return pair[assignment], prefix[assignment]

@@ -27,21 +27,21 @@ class KRadarPresenter(Presenter):
 
     def title(self, figure: str) -> str:
         """Class, overlap and its least value: ``vehicle AP3D 0.3``."""
-        words = figure.removeprefix("ap/").split("/")
-        if len(words) < 2 or words[-2] not in _MEASURES:
+        path = figure.removeprefix("ap/").split("/")
+        if len(path) < 2 or path[-2] not in _MEASURES:
             return super().title(figure)
-        return " ".join([*(word.replace("_", " ") for word in words[:-2]), _MEASURES[words[-2]], words[-1]])
+        return " ".join([*(word.replace("_", " ") for word in path[:-2]), _MEASURES[path[-2]], path[-1]])
 
     def presentation(self, result: Mapping[str, Any]) -> Presentation:
         """AP at the least overlap by class, by weather first; then the stricter overlaps."""
-        names, known = figure_names(result), result.get("settings") or {}
-        ious = [iou for iou in known.get("ious") or () if isinstance(iou, int | float)]
+        names, settings = figure_names(result), result.get("settings") or {}
+        ious = [iou for iou in settings.get("ious") or () if isinstance(iou, int | float)]
         least = min(ious, default=0.3)
         first = [name for name in names if name.endswith(f"/{least:g}")]
         return Presentation(
             figures=tuple(sorted(first, key=_bev_last)) or tuple(names),
             about=f"A prediction finds a box that it overlaps by more than {least:g}, in space (AP3D) or seen from "
-            f"above (APBEV). AP is the mean precision at {known.get('recall_points', 'several')} recalls.",
+            f"above (APBEV). AP is the mean precision at {settings.get('recall_points', 'several')} recalls.",
             parts=tuple(name for name in names if name not in first),
             parts_title="At stricter overlaps",
             about_parts="The number is the overlap that a prediction must exceed.",
@@ -54,14 +54,14 @@ class KRadarPresenter(Presenter):
 
     def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
         """A panel for each class and overlap, in space first."""
-        known = (result.get("curves") or {}).get("overall") or {}
-        found = []
-        for label, measures in known.items():
+        curves = (result.get("curves") or {}).get("overall") or {}
+        shown = []
+        for label, measures in curves.items():
             for measure in sorted(measures):
                 title = f"{label.replace('_', ' ')}, {_MEASURES.get(measure, measure)}"
                 named = {f"overlap {iou}": curve for iou, curve in measures[measure].items()}
-                found += [CurvePanel(title, panel.lines) for panel in panels(named)]
-        return found
+                shown += [CurvePanel(title, panel.lines) for panel in panels(named)]
+        return shown
 
 
 class KRadarProtocol(Protocol):
@@ -88,18 +88,18 @@ class KRadarProtocol(Protocol):
         label, relabel = given.pop("label", None), given.get("relabel", CIRRUS_FROM_ANY_KRADAR)
         if label is not None:
             given["classes"] = (relabel.get(label, label),)
-        known: dict[str, Any] = {}
+        defaults: dict[str, Any] = {}
         if detections.classes and "classes" not in self.fixed:
-            known["classes"] = tuple(dict.fromkeys(relabel.get(name, name) for name in detections.classes))
+            defaults["classes"] = tuple(dict.fromkeys(relabel.get(name, name) for name in detections.classes))
         if detections.reference:
-            known["boxes_in"] = "radar" if detections.reference == "radar" else "os2-64"
+            defaults["boxes_in"] = "radar" if detections.reference == "radar" else "os2-64"
             named = detections.reference in ("radar", "os2-64")
             if named and given.get("boxes_in", detections.reference) != detections.reference:
                 raise ConfigError(
-                    f"boxes_in: expected {known['boxes_in']}, as the boxes say that they stand in the coordinates of "
-                    f"{detections.reference}; got {given['boxes_in']}. Leave boxes_in out"
+                    f"boxes_in: expected {defaults['boxes_in']}, as the boxes say that they stand in the coordinates "
+                    f"of {detections.reference}; got {given['boxes_in']}. Leave boxes_in out"
                 )
-        settings = kradar_settings(str(self), **{**known, **given})
+        settings = kradar_settings(str(self), **{**defaults, **given})
         version = detections.facts.get("label_version")
         return replace(settings, label_version=version) if version and "label_version" not in given else settings
 
@@ -121,19 +121,21 @@ class KRadarProtocol(Protocol):
 
     def evaluate(self, detections: Detections, settings: KRadarSettings) -> KRadarResult:
         """AP by class, measure and overlap, by range, and by condition and visibility where these are known."""
-        seen = _visibility(detections)
+        visibility = _visibility(detections)
         result = evaluate_kradar(
             detections.boxes,
             detections.annotated,
             settings,
             conditions=detections.conditions,
-            visibility=seen or None,
+            visibility=visibility or None,
             protocol=str(self),
             drives=detections.drives,
         )
         notes = []
-        lacking = [key for key, annotation in detections.annotations.items() if len(annotation) and key not in seen]
-        if seen and lacking:
+        lacking = [
+            key for key, annotation in detections.annotations.items() if len(annotation) and key not in visibility
+        ]
+        if visibility and lacking:
             notes.append(
                 f"{len(lacking)} of {len(detections.annotations)} annotated frames do not say which sensor sees their "
                 f"boxes (the first: {' '.join(lacking[0])}); in the figures by visibility these may be found or not"

@@ -98,8 +98,8 @@ class KRadarSettings:
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
-                words = ", ".join(map(str, choices))
-                raise ConfigError(f"{name}: expected one of {words}, got {getattr(self, name)!r}")
+                expected = ", ".join(map(str, choices))
+                raise ConfigError(f"{name}: expected one of {expected}, got {getattr(self, name)!r}")
         if not self.classes or len(set(self.classes)) < len(self.classes):
             raise ConfigError(f"classes: expected one or more different names, got {self.classes}")
         for name in self.classes:
@@ -209,10 +209,10 @@ def kradar_settings(protocol: str = "kradar", **options: Any) -> KRadarSettings:
     Raises:
         ConfigError: If the variant or an option is unknown, or an option differs from what the variant fixes.
     """
-    known = [option.name for option in fields(KRadarSettings)]
-    unknown = sorted(set(options) - set(known))
+    names = [option.name for option in fields(KRadarSettings)]
+    unknown = sorted(set(options) - set(names))
     if unknown:
-        raise ConfigError(f"{protocol}: expected options among {', '.join(known)}; got {', '.join(unknown)}")
+        raise ConfigError(f"{protocol}: expected options among {', '.join(names)}; got {', '.join(unknown)}")
     if protocol == "kradar":
         return KRadarSettings(**options)
     variant = protocol.partition(":")[2]

@@ -1,8 +1,16 @@
 """CLEAR MOT by KITTI's rules, and AB3DMOT's integrals over recall (Weng et al., IROS 2020, section 4).
 
-Each frame is matched afresh: first as many pairs as possible, then the largest sum of similarities. Matches with
-ignored boxes count nowhere. An identity switch needs the frame before to be matched too; an ignored frame resets. A
-fragment is a change of the matched track, back from nothing too, if the frame after it is matched.
+Of P annotated boxes TP are matched and FN are not; FP predictions are false; IDS matches switch the identity; S is the
+similarity of a match (Bernardin & Stiefelhagen, 2008):
+
+    MOTA     = 1 - (FP + FN + IDS) / P                            MOTP = mean of S
+    sMOTA(r) = 1 - (FP + FN + IDS - (1 - r) P) / (r P), kept in [0, 1]
+    sAMOTA, AMOTA, AMOTP = means of sMOTA, MOTA, MOTP over the recalls r = 1/40, 2/40 ... 1
+
+where tracks are cut at the score at which recall r is reached; recalls that are not reached count 0. Each frame is
+matched afresh: first as many pairs as possible, then the largest sum of similarities. Matches with ignored boxes count
+nowhere. An identity switch needs the frame before to be matched too; an ignored frame resets. A fragment is a change of
+the matched track, back from nothing too, if the frame after it is matched.
 """
 
 from dataclasses import asdict, dataclass
@@ -89,16 +97,16 @@ def match(scene: TrackingScene, least: float, kept: Bool[np.ndarray, " n"] | Non
         least: Similarity that a match needs.
         kept: Predicted boxes that take part; None for all.
     """
-    taking = np.ones(len(scene.predicted), dtype=bool) if kept is None else kept
-    allowed = np.flatnonzero((scene.similarity >= least) & taking[scene.pair[:, 1]])
+    takes_part = np.ones(len(scene.predicted), dtype=bool) if kept is None else kept
+    allowed = np.flatnonzero((scene.similarity >= least) & takes_part[scene.pair[:, 1]])
     a, b = scene.pair[allowed].T
     similarity = scene.similarity[allowed]
     chosen = best_pairs(a, b, similarity + _COUNT_FIRST, scene.annotated.frame[a])
-    row, of = np.full(len(scene.annotated), -1), np.zeros(len(scene.annotated))
-    row[a[chosen]], of[a[chosen]] = b[chosen], similarity[chosen]
-    taken = np.zeros(len(scene.predicted), dtype=bool)
-    taken[b[chosen]] = True
-    return FrameMatches(row=row, similarity=of, false=taking & ~taken & ~scene.predicted.aside)
+    row, row_similarity = np.full(len(scene.annotated), -1), np.zeros(len(scene.annotated))
+    row[a[chosen]], row_similarity[a[chosen]] = b[chosen], similarity[chosen]
+    is_assigned = np.zeros(len(scene.predicted), dtype=bool)
+    is_assigned[b[chosen]] = True
+    return FrameMatches(row=row, similarity=row_similarity, false=takes_part & ~is_assigned & ~scene.predicted.aside)
 
 
 def count(scene: TrackingScene, matched: FrameMatches, bin_m: tuple[float, float] | None = None) -> Clear:
@@ -130,10 +138,10 @@ def _changes(scene: TrackingScene, row: Int[np.ndarray, " m"]) -> tuple[Bool[np.
     last = np.r_[first[1:], True] if len(track) else first
     before = np.where(first, -1, np.r_[-1, name[:-1]]) if len(track) else name
     after = np.r_[name[1:], -1] if len(track) else name
-    known = _last_known(name, aside, first)
-    counted = ~first & ~aside & (known >= 0) & (name >= 0)
+    last_track = _last_known(name, aside, first)
+    counted = ~first & ~aside & (last_track >= 0) & (name >= 0)
     switch, fragment = np.zeros(len(row), dtype=bool), np.zeros(len(row), dtype=bool)
-    switch[order] = counted & (name != known) & (before >= 0)
+    switch[order] = counted & (name != last_track) & (before >= 0)
     # At a track's last frame KITTI counts one that is found there for the first time, too.
     at_last = last & ~first & ~aside & (name >= 0)
     fragment[order] = (name != before) & (at_last | (counted & (after >= 0)))
@@ -144,23 +152,23 @@ def _last_known(
     name: Int[np.ndarray, " m"], aside: Bool[np.ndarray, " m"], first: Bool[np.ndarray, " m"]
 ) -> Int[np.ndarray, " m"]:
     """The track that each annotated box last got before, -1 for none since it was last ignored; rows run by track."""
-    place = np.arange(len(name))
+    index = np.arange(len(name))
     sets = first | aside | (name >= 0)
     value = np.where(aside & ~first, -1, name)
-    latest = np.maximum.accumulate(np.where(sets, place, 0)) if len(name) else place
-    known = np.r_[-1, value[latest][:-1]] if len(name) else value
-    return np.where(first, -1, known)
+    latest = np.maximum.accumulate(np.where(sets, index, 0)) if len(name) else index
+    last_track = np.r_[-1, value[latest][:-1]] if len(name) else value
+    return np.where(first, -1, last_track)
 
 
 def _whole_tracks(scene: TrackingScene, hit: Bool[np.ndarray, " m"]) -> dict[str, int]:
     """Tracks found as wholes; a match in a track's first frame counts even where it is ignored, as in KITTI."""
     track, valid = scene.annotated.track, ~scene.annotated.aside
     order = np.lexsort([scene.annotated.frame, track])
-    begins = np.zeros(len(track), dtype=bool)
-    begins[order[np.flatnonzero(np.diff(track[order], prepend=-1))]] = True
+    is_first = np.zeros(len(track), dtype=bool)
+    is_first[order[np.flatnonzero(np.diff(track[order], prepend=-1))]] = True
     frames = np.bincount(track[valid], minlength=int(track.max(initial=0)) + 1)
-    found = np.bincount(track[(valid | begins) & hit], minlength=len(frames))
-    share = found / np.maximum(frames, 1)
+    matched = np.bincount(track[(valid | is_first) & hit], minlength=len(frames))
+    share = matched / np.maximum(frames, 1)
     counts = {"MT": share > _FOUND_WHOLE, "ML": share < _FOUND_LOST, "tracks": share >= 0}
     return {name: int((mask & (frames > 0)).sum()) for name, mask in counts.items()}
 
@@ -191,17 +199,17 @@ def integrate(scene: TrackingScene, least: float, *, count_ignored: bool = True)
     every = match(scene, least)
     valid, hit = ~scene.annotated.aside, every.row >= 0
     counted = hit if count_ignored else hit & valid
-    wanted = int(counted.sum() + (valid & ~hit).sum())
+    annotated = int(counted.sum() + (valid & ~hit).sum())
     if not valid.any():
         return Integrals(figures=dict.fromkeys(("sAMOTA", "AMOTA", "AMOTP")), thresholds=(), best=-1, matched=every)
     scores = np.sort(scene.predicted.score[every.row[counted]])[::-1]
-    thresholds = sample_thresholds(scores, wanted)[0][1:]
+    thresholds = sample_thresholds(scores, annotated)[0][1:]
     sums, best, at_best, most = np.zeros(3), -1, every, -np.inf
     for number, threshold in enumerate(thresholds):
         matched = match(scene, least, scene.predicted.score >= threshold)
-        found = count(scene, matched)
-        sums += [found.scaled_mota((number + 1) / (SAMPLES - 1)), found.mota, found.motp]
-        if found.mota > most:
-            best, at_best, most = number, matched, found.mota
+        counts = count(scene, matched)
+        sums += [counts.scaled_mota((number + 1) / (SAMPLES - 1)), counts.mota, counts.motp]
+        if counts.mota > most:
+            best, at_best, most = number, matched, counts.mota
     named = zip(("sAMOTA", "AMOTA", "AMOTP"), (sums / (SAMPLES - 1)).tolist(), strict=True)
     return Integrals(figures=dict(named), thresholds=tuple(thresholds), best=best, matched=at_best)

@@ -1,4 +1,15 @@
-"""HOTA (Luiten et al., IJCV 2021) and identity F1 (Ristani et al., 2016), over boxes of any similarity.
+"""HOTA (Luiten et al., IJCV 2021) and identity F1 (Ristani et al., ECCV workshops 2016), over boxes of any similarity.
+
+For each threshold alpha = 0.05, 0.1 ... 0.95, with the matches of a similarity of at least alpha:
+
+    DetA = TP / (TP + FN + FP)
+    AssA = mean over matches c of TPA(c) / (TPA(c) + FNA(c) + FPA(c))
+    HOTA = sqrt(DetA AssA),   all averaged over alpha
+
+TPA(c) counts the frames in which the two tracks of c match each other, FNA and FPA those in which only one of them is
+there. Identity F1 pairs whole tracks one to one so that the frames in common, IDTP, are most:
+
+    IDF1 = 2 IDTP / (annotated boxes + predicted boxes)
 
 Before both, predicted boxes that lie on ignored annotated ones (similarity of 0.5 or more), or that match nothing and
 are excused, are taken away with the ignored boxes, as TrackEval does for KITTI. HOTA then matches each frame once,
@@ -41,10 +52,10 @@ class Hota:
         a, b = scene.pair.T
         rows = np.bincount(a, scene.similarity, minlength=len(scene.annotated))
         columns = np.bincount(b, scene.similarity, minlength=len(scene.predicted))
-        each = scene.similarity / (rows[a] + columns[b] - scene.similarity)
+        alignment = scene.similarity / (rows[a] + columns[b] - scene.similarity)
         self.lengths = _lengths(scene.annotated.track), _lengths(scene.predicted.track)
         of_pair, number = _track_pairs(scene)
-        alike = np.bincount(number, each, minlength=len(of_pair))
+        alike = np.bincount(number, alignment, minlength=len(of_pair))
         fit = alike / (self._spans(of_pair) - alike)
         gain = fit[number] * scene.similarity
         chosen = best_pairs(a, b, gain, scene.annotated.frame[a])
@@ -68,9 +79,9 @@ class Hota:
         counted = hit & here[self.a]
         true = int(counted.sum())
         missed = int(here.sum()) - true
-        taken = np.zeros(len(self.scene.predicted), dtype=bool)
-        taken[self.b[hit]] = True
-        false = int((_inside(self.scene.predicted.range_m, bin_m) & ~taken).sum())
+        is_matched = np.zeros(len(self.scene.predicted), dtype=bool)
+        is_matched[self.b[hit]] = True
+        false = int((_inside(self.scene.predicted.range_m, bin_m) & ~is_matched).sum())
         common = np.bincount(self.number[hit], minlength=len(self.of_pair)).astype(np.float64)
         pairs = self.number[counted]
         shares = [
@@ -82,9 +93,9 @@ class Hota:
             )
         ]
         detected = true / max(true + missed + false, 1)
-        place = float(self.similarity[counted].sum() / true) if true else 1.0
+        localisation = float(self.similarity[counted].sum() / true) if true else 1.0
         recall, precision = true / max(true + missed, 1), true / max(true + false, 1)
-        return (float(np.sqrt(detected * shares[0])), detected, shares[0], recall, precision, *shares[1:], place)
+        return (float(np.sqrt(detected * shares[0])), detected, shares[0], recall, precision, *shares[1:], localisation)
 
 
 def identity_f1(scene: TrackingScene, least: float) -> float | None:

@@ -70,11 +70,11 @@ class Tracking(Protocol):
         parts: dict[str, tuple[float, float] | None] = {"overall": None, **settings.bins_m}
         ranges: dict[str, dict[str, float | None]] = {}
         for part, bin_m in parts.items():
-            of: Figures = count(scene, integrals.matched, bin_m).figures() | hota.figures(bin_m)
-            named = {f"tracking/{name}": value for name, value in of.items()}
+            figures_of_part: Figures = count(scene, integrals.matched, bin_m).figures() | hota.figures(bin_m)
+            named = {f"tracking/{name}": value for name, value in figures_of_part.items()}
             named |= {f"all_tracks/{name}": v for name, v in count(scene, every, bin_m).figures().items()}
-            whole = bin_m is None
-            ranges[part] = {name: v for name, v in named.items() if whole or name.split("/")[1] not in _OF_TRACKS}
+            is_whole = bin_m is None
+            ranges[part] = {name: v for name, v in named.items() if is_whole or name.split("/")[1] not in _OF_TRACKS}
         figures |= ranges.pop("overall")
         figures["tracking/IDF1"] = identity_f1(counted, settings.iou)
         figures["tracking/threshold"] = integrals.thresholds[integrals.best] if integrals.best >= 0 else None

@@ -1,4 +1,8 @@
-"""All frames of an evaluation of tracks as flat arrays: one class, its ignored neighbours, pairs that touch."""
+"""The boxes that scores of tracks take: one class of all frames, its ignored neighbours, and the pairs that touch.
+
+:func:`gather` makes a :class:`TrackingScene` of detections by the options of :class:`TrackingSettings`;
+:func:`best_pairs` pairs boxes one to one so that the sum of gains is largest (Hungarian method).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,8 +21,6 @@ from farfield.metrics.detections import Detections
 from farfield.metrics.frames import check_frames, flatten, frame_order, has_label, same_owner
 from farfield.metrics.kitti.evaluation import NEIGHBOURS, Details, detail_column, in_dontcare
 from farfield.metrics.options import check_range_bins
-
-# MERGED """The options of the scores of tracks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,14 +119,14 @@ class TrackingScene:
 
     def cut(self, annotated: Bool[np.ndarray, " m"], predicted: Bool[np.ndarray, " n"]) -> "TrackingScene":
         """Some of the rows, with the pairs of these."""
-        kept = annotated[self.pair[:, 0]] & predicted[self.pair[:, 1]]
-        number = np.column_stack([(np.cumsum(m) - 1)[self.pair[kept, i]] for i, m in enumerate((annotated, predicted))])
+        mask = annotated[self.pair[:, 0]] & predicted[self.pair[:, 1]]
+        number = np.column_stack([(np.cumsum(m) - 1)[self.pair[mask, i]] for i, m in enumerate((annotated, predicted))])
         return replace(
             self,
             annotated=self.annotated[annotated],
             predicted=self.predicted[predicted],
             pair=number,
-            similarity=self.similarity[kept],
+            similarity=self.similarity[mask],
         )
 
 
@@ -136,18 +138,18 @@ def gather(detections: Detections, settings: TrackingSettings) -> TrackingScene:
     """
     check_frames(detections.boxes, detections.annotated)
     keys = sorted(detections.annotations, key=frame_order)
-    given = [detections.annotations[key].boxes for key in keys]
-    seen = [detections.boxes.get(key, Boxes.empty(scored=True)) for key in keys]
-    annotated, predicted = flatten(given, scored=False), flatten(seen, scored=True)
+    frame_annotations = [detections.annotations[key].boxes for key in keys]
+    frame_predictions = [detections.boxes.get(key, Boxes.empty(scored=True)) for key in keys]
+    annotated, predicted = flatten(frame_annotations, scored=False), flatten(frame_predictions, scored=True)
     is_label = has_label(annotated, settings.label, settings.relabel)
     used = is_label.copy()
     for name in settings.ignore or ():
         used |= has_label(annotated, name, settings.relabel)
     scored = has_label(predicted, settings.label, settings.relabel)
-    ignored, facts_note = _ignored(detections, keys, given)
-    harmless, notes = _harmless(detections, keys, seen, scored)
-    rows = collect_rows(keys, given, annotated, used, ~is_label | ignored, what="annotations")
-    tracks = collect_rows(keys, seen, predicted, scored, harmless, what="predictions")
+    ignored, facts_note = _ignored(detections, keys, frame_annotations)
+    harmless, notes = _harmless(detections, keys, frame_predictions, scored)
+    rows = collect_rows(keys, frame_annotations, annotated, used, ~is_label | ignored, what="annotations")
+    tracks = collect_rows(keys, frame_predictions, predicted, scored, harmless, what="predictions")
     annotated, predicted = annotated[used], predicted[scored]
     pair = np.column_stack(same_owner(rows.frame, tracks.frame, len(keys)))
     similarity = _similarity(annotated, predicted, pair, settings)
@@ -218,14 +220,14 @@ def _similarity(
 
 
 def _ignored(
-    detections: Detections, keys: list[Key], given: list[Boxes]
+    detections: Detections, keys: list[Key], frame_annotations: list[Boxes]
 ) -> tuple[Bool[np.ndarray, " n"], tuple[str, ...]]:
     """Annotated boxes that KITTI ignores as hidden or cut; a note where that is not known."""
     details: Details = {key: annotation.details for key, annotation in detections.annotations.items()}
-    ignored = np.zeros(sum(map(len, given)), dtype=bool)
+    ignored = np.zeros(sum(map(len, frame_annotations)), dtype=bool)
     missing = []
     for name, most in (("occlusion", MOST_OCCLUSION), ("truncation", MOST_TRUNCATION)):
-        column = detail_column(details, keys, given, name, 1)
+        column = detail_column(details, keys, frame_annotations, name, 1)
         if column is None:
             missing.append(name)
         else:
@@ -234,17 +236,17 @@ def _ignored(
 
 
 def _harmless(
-    detections: Detections, keys: list[Key], seen: list[Boxes], scored: Bool[np.ndarray, " n"]
+    detections: Detections, keys: list[Key], frame_predictions: list[Boxes], scored: Bool[np.ndarray, " n"]
 ) -> tuple[Bool[np.ndarray, " n"], tuple[str, ...]]:
     """Predicted boxes that are never false: low in the image, or in a DontCare region; a note on those unknown."""
     regions: Details = {key: annotation.unboxed for key, annotation in detections.annotations.items()}
-    box_px = detail_column(detections.prediction_details, keys, seen, "box_px", 4)
+    box_px = detail_column(detections.prediction_details, keys, frame_predictions, "box_px", 4)
     if box_px is None:
-        known = any("box_px" in annotation.details for annotation in detections.annotations.values())
+        has_boxes = any("box_px" in annotation.details for annotation in detections.annotations.values())
         note = "predictions have no box in the image: none is spared as too low in the image or in a DontCare region"
-        return np.zeros(len(scored), dtype=bool), (note,) if known and scored.any() else ()
+        return np.zeros(len(scored), dtype=bool), (note,) if has_boxes and scored.any() else ()
     valid = (box_px[:, 2:] > box_px[:, :2]).all(axis=1)
-    frame = np.repeat(np.arange(len(keys)), [len(part) for part in seen])
+    frame = np.repeat(np.arange(len(keys)), [len(part) for part in frame_predictions])
     low = box_px[:, 3] - box_px[:, 1] <= LEAST_HEIGHT_PX
     harmless = valid & (low | in_dontcare(box_px, frame, keys, regions, DONTCARE_SHARE))
     absent = int((scored & ~valid).sum())
@@ -252,7 +254,7 @@ def _harmless(
     return harmless, (note,) if absent else ()
 
 
-# MERGED """One-to-one pairs of rows and columns, of many groups at once."""
+# One-to-one pairs of rows and columns, of many groups at once
 
 
 def best_pairs(
@@ -294,10 +296,10 @@ def _hungarian(
     """The best of the pairs that stand at some places."""
     low_row, low_column = row[part].min(), column[part].min()
     shape = (int(row[part].max() - low_row) + 1, int(column[part].max() - low_column) + 1)
-    place = np.full(shape, -1)
-    place[row[part] - low_row, column[part] - low_column] = part
-    worth = np.where(place >= 0, gain[place], 0.0)
-    chosen = place[linear_sum_assignment(worth, maximize=True)]
+    index = np.full(shape, -1)
+    index[row[part] - low_row, column[part] - low_column] = part
+    worth = np.where(index >= 0, gain[index], 0.0)
+    chosen = index[linear_sum_assignment(worth, maximize=True)]
     return chosen[chosen >= 0]
 
 
@@ -317,9 +319,9 @@ def greedy_pairs(
     rows: set[int] = set()
     columns: set[int] = set()
     chosen = []
-    for place, a, b in zip(order.tolist(), row[order].tolist(), column[order].tolist(), strict=True):
+    for pair, a, b in zip(order.tolist(), row[order].tolist(), column[order].tolist(), strict=True):
         if a not in rows and b not in columns:
             rows.add(a)
             columns.add(b)
-            chosen.append(place)
+            chosen.append(pair)
     return np.sort(np.array(chosen, dtype=np.int64))
