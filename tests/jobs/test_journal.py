@@ -94,10 +94,10 @@ def test_a_killed_command_loses_at_most_the_last_moment_and_goes_on(tmp_path: Pa
     code = f"""
 from pathlib import Path
 from jobs.works import Copy
-from farfield.jobs import Bulk, Journal, Unit, run
+from farfield.jobs import JobJournal, JobOptions, Unit, run
 folder, out = Path({str(tmp_path / "in")!r}), Path({str(out)!r})
 units = [Unit(f"{{n:02d}}", (folder / f"{{n:02d}}.in",), n) for n in range(12)]
-run(Copy(out, pause_s=0.15), units, Bulk(workers=2), journal=Journal(out / ".journal", "a"))
+run(Copy(out, pause_s=0.15), units, JobOptions(workers=2), journal=JobJournal(out / ".journal", "a"))
 """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
     command = subprocess.Popen([sys.executable, "-c", code], env=environment)

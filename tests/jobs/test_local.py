@@ -94,8 +94,8 @@ def test_a_worker_that_dies_on_its_way_is_started_once_more(tmp_path: Path) -> N
 def test_what_cannot_travel_is_refused() -> None:
     with pytest.raises(BulkError, match="can be sent to another process"):
         list(values(lambda unit: unit, UNITS, TWO))
-    code = "from farfield.jobs import *\ndef f(u): return Done()\n"
-    code += "list(values(f, [Unit('a'), Unit('b')], Bulk(workers=2)))"
+    code = "from farfield.jobs import *\ndef f(u): return UnitResult()\n"
+    code += "list(values(f, [Unit('a'), Unit('b')], JobOptions(workers=2)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert "stand in a module" in done.stderr
     with pytest.raises(ConfigError, match="1 or more"):
@@ -115,11 +115,11 @@ def test_workers_end_with_the_command_whatever_ends_it(ending: int, tmp_path: Pa
 import signal, sys
 from pathlib import Path
 from jobs.works import Copy
-from farfield.jobs import Bulk, Journal, Unit, run
+from farfield.jobs import JobJournal, JobOptions, Unit, run
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
 folder = Path({str(tmp_path)!r})
 units = [Unit(str(n), (folder / f"{{n}}.in",), n) for n in range(40)]
-run(Copy(folder / "out", pause_s=0.2), units, Bulk(workers=2), journal=Journal(folder / "out" / ".journal"))
+run(Copy(folder / "out", pause_s=0.2), units, JobOptions(workers=2), journal=JobJournal(folder / "out" / ".journal"))
 """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
     command = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL, env=environment)
