@@ -1,8 +1,8 @@
 """The decision on a claim: holds, holds not, or undecided; the same after correcting for many claims; and its power.
 
 The interval D +- t(0.975, df) sqrt(s_seed^2 / n + s_seq^2) of a difference D decides. Holm's correction (1979)
-multiplies the k-th smallest of m p-values by m - k + 1. The power is the probability of "holds" for a true difference, D
-being normal with that variance and s_seed estimated with df degrees of freedom (chi squared).
+multiplies the k-th smallest of m p-values by m - k + 1. The power is the probability of "holds" for a true difference,
+D being normal with that variance and s_seed estimated with df degrees of freedom (chi squared).
 """
 
 from collections.abc import Sequence
