@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from farfield.errors import FileFormatError
-from farfield.files.pcd import compress_lzf, decompress_lzf, read_pcd, write_pcd
+from farfield.files.pcd import LZF_MAX_EXPANSION, compress_lzf, decompress_lzf, read_pcd, write_pcd
 
 HEADER = {
     "VERSION": "0.7",
