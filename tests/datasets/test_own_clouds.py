@@ -75,7 +75,7 @@ def test_directions_without_return_are_left_out_and_counted(tmp_path: Path) -> N
     cloud = read_cloud(tmp_path / "a.pcd")
     assert (len(cloud), cloud.missing) == (400, 200)
     topics = [finding.what for finding in examine(open_dataset(tmp_path)).findings if finding.topic == "cloud lidar"]
-    assert "200 points without a place (no return) left out" in topics[0]
+    assert "200 invalid points (no return) left out" in topics[0]
 
 
 def test_an_infinite_place_is_an_error_still(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ def run(
             learnt from do not count, so that DATA itself may be named.
         clouds: Clouds of the sweeps to learn from, separated by commas; the first that suits unless given.
         rotate_deg: Turn every sweep counter-clockwise about z; 180 looks backwards.
-        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
         frames: Sweeps to learn from at most, spread evenly; 0 takes all.
         source_frames: Source frames at most, spread evenly.
         rounds: Times that the teacher is renewed.

@@ -56,7 +56,7 @@ def run(
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
         format: Format of the source, if it is not to be recognised.
         roots: Further folders over which a K-Radar is spread.
-        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
         boxes: Label the frames' own boxes, or the full objects' where the data set knows both.
         cloud: Which cloud to write (gaussian, uniform...); the first unless given.
         reference: Sensor in whose coordinates boxes and clouds are written, such as radar; the data's own unless given.

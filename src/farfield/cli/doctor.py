@@ -48,7 +48,7 @@ def run(
             radiate or folder.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
-        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
         frames: Number of frames whose clouds are read, spread evenly; 0 reads all.
         calibration: Number of frames with which to check cameras and K-Radar's radar: whether the given calibration
             fits, and whether a sensor moved during the first drive; 0 does not. Cameras need about 24, a radar 80.

@@ -67,7 +67,7 @@ def run(
         split: train, val or test, or time-val and its like to cut each sequence in time; all frames unless given.
         rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
         mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
-        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
         protocol: dds, nuscenes, kitti, kradar, kradar-compat:VARIANT or a registered one; kradar on K-Radar's layout
             and dds on all others unless given. K-Radar's also scores each weather, road and time of day.
         label: The class to score by range; unless given the most frequent one that the detector knows (large_vehicle

@@ -51,7 +51,7 @@ def run(
         reach_m: Farther points are left out.
         backward: Place the sweeps backwards too, which tells the drift and takes as long again.
         drives: Only these.
-        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
         picture: SVG, PNG or JPEG of the tracks from above to write.
         overwrite: Forget what was done before.
         workers: Processes; 0 takes as many as there are cores, drives and memory for.

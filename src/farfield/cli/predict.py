@@ -64,7 +64,7 @@ def run(
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
-        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
         precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.

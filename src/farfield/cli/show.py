@@ -42,7 +42,7 @@ def run(
         detector: A bundled detector's name, a run's folder, or a weights file, whose boxes are drawn too.
         cloud: Which cloud; the first, or the first that suits the detector, unless given.
         kept: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
-        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
         out: The PNG; runs/show-DATA-NUMBER.png unless given.
     """
     from farfield.api import load_detector

@@ -51,7 +51,7 @@ def run(
         mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
-        columns: Numbers a point in .bin files; what the numbers themselves show unless given.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
         json: Write what is in statistics.json into this file too; - prints it.
     """
     from farfield.datasets import open_dataset

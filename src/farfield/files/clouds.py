@@ -33,7 +33,7 @@ def read_bin(
 
     Args:
         path: The file.
-        columns: Numbers a point: 4 for KITTI (x, y, z in metres, reflectance 0..1), 7 for View-of-Delft radar.
+        columns: Columns: 4 for KITTI (x, y, z in metres, reflectance 0..1), 7 for View-of-Delft radar.
         on_nan: What to do with points that hold NaN or infinity: ``"error"`` or ``"drop"``.
         max_bytes: Largest file that is accepted.
 
@@ -177,7 +177,7 @@ def _is_column(column: Mapping[str, Any]) -> bool:
     )
 
 
-# How many numbers a point has in a ``.bin`` file, which says nothing of it: decided from the numbers themselves.
+# How many columns the points have in a ``.bin`` file, which says nothing of it: decided from the numbers themselves.
 #
 # Read with the right number, each column holds one kind of quantity; read with another, every column is a mixture of
 # several. So the mutual information between a value and the column that it falls into is largest at the right number,
@@ -185,7 +185,7 @@ def _is_column(column: Mapping[str, Any]) -> bool:
 # alike.
 
 POSSIBLE = (3, 4, 5, 6, 7, 8, 9, 10)
-"""Numbers a point that are told apart."""
+"""Numbers of columns that can be told apart."""
 
 _BLOCK = 2520  # a multiple of all that are possible
 _MOST_BLOCKS = 32
@@ -202,7 +202,7 @@ class BinColumns:
     """What the columns of a ``.bin`` file are.
 
     Args:
-        count: Numbers a point.
+        count: Number of columns.
         names: A name a column: x, y, z, intensity, then what is recognised (``ring``, ``range_m``), else ``extra0``...
         likely: Whether the numbers themselves say so; else it is the format's usual count.
     """

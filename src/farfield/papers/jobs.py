@@ -25,8 +25,8 @@ _TRAINING_ROOMS = (
     "training",
     "vocabulary",
 )
-_SCORING_ROOMS = ("detection", "metrics")
-_SOURCE = Path(__file__).resolve().parents[2]
+_SCORING_ROOMS = ("evaluation", "metrics")
+_SOURCE = Path(__file__).resolve().parents[1]
 _INERT = ("checkpoint_every_s", "log_every_steps", "tensorboard", "workers")
 """Settings of a training that change none of its weights."""
 _KEY_DIGITS = 12
@@ -236,6 +236,7 @@ def _lays_weather(tree: Mapping[str, Any]) -> bool:
 def code_digest(rooms: tuple[str, ...] = _SCORING_ROOMS) -> str:
     """Hash of the source of some rooms and of the plan of a run; by default of those that detect and score."""
     digest = hashlib.sha256()
+    assert all((_SOURCE / room).is_dir() for room in rooms), "a room was renamed"
     files = sorted(path for room in rooms for path in (_SOURCE / room).rglob("*.py"))
     for path in [*files, _SOURCE / "experiments" / "plan.py"]:
         digest.update(path.relative_to(_SOURCE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")

@@ -59,7 +59,7 @@ def check_clouds(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             what += f", intensity {low:.3f}..{high:.3f}{_scale_text(survey, name)}"
         gone = sum(cloud.missing for cloud in loaded)
         if gone:
-            what += f", {gone} points without a place (no return) left out"
+            what += f", {gone} invalid points (no return) left out"
         yield Finding(severity="ok", topic=f"cloud {name}", what=what)
         if strength is not None and not strength.any():
             mapped = isinstance(survey.dataset.unwrapped, Cirrus)
