@@ -239,7 +239,7 @@ def test_only_jobs_starts_workers() -> None:
         "jobs/local.py",
         "testing/processes.py",  # two processes of one training step
         "files/mat.py",  # one thread that reads ahead within a file
-        "datasets/kradar/tesseract.py",  # one that makes a table meanwhile
+        "datasets/kradar/products.py",  # one that makes a table meanwhile
         "studio/threads.py",  # some beside the server's event loop
         "studio/inferring/worker.py",  # a process that holds networks and is asked frame by frame
     }

@@ -1,5 +1,6 @@
 """Names to things, with a door for other packages: built in, by decorator, by entry point, asked in this order."""
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib import import_module
@@ -20,6 +21,23 @@ def named(place: str) -> Any:
     """
     module, _, attribute = place.partition(":")
     return getattr(import_module(module), attribute)
+
+
+def old_names(module: str, **names: str) -> Callable[[str], Any]:
+    """A module's ``__getattr__``, by which old names of its public parts work for one version, with a warning.
+
+    Args:
+        module: The module's name.
+        names: New names by the old ones.
+    """
+    return partial(_renamed, module, names)
+
+
+def _renamed(module: str, names: Mapping[str, str], name: str) -> Any:
+    if name not in names:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    warnings.warn(f"{module}.{name} is now {module}.{names[name]}", DeprecationWarning, stacklevel=2)
+    return getattr(import_module(module), names[name])
 
 
 _DISPLAYS: dict[str, Callable[[Any], str]] = {}

@@ -20,7 +20,7 @@ _Picture = UInt8[np.ndarray, "height width 3"]
 
 @dataclass(frozen=True)
 class Anonymized:
-    """Covers faces and number plates in a frame's images, each image by itself: ``dataset.mapped(Private())``.
+    """Covers faces and number plates in a frame's images, each image by itself: ``dataset.mapped(Anonymized())``.
 
     Weak boxes of faces are covered too, for no track says which of them are faces; weak ones of plates only within
     vehicles, where the frame has boxes and the camera a calibration. What a detector misses stays seen.

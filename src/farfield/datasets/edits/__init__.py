@@ -1,5 +1,7 @@
 """Edits of annotations: a journal of lines, the state that they add up to, and where the journal stands."""
 
+from typing import TYPE_CHECKING
+
 from farfield.datasets.edits.edited import Edited
 from farfield.datasets.edits.journal import (
     FOLDER,
@@ -20,6 +22,7 @@ from farfield.datasets.edits.journal import (
     track_cell,
     value_of,
 )
+from farfield.registry import old_names
 
 __all__ = [
     "FOLDER",
@@ -41,3 +44,6 @@ __all__ = [
     "track_cell",
     "value_of",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = old_names(__name__, Change="CellEdit", State="EditState", Standing="CellState")
