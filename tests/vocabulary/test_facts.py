@@ -108,7 +108,7 @@ def test_the_two_scan_patterns_are_named_once() -> None:
         "datasets/cirrus/layout.py:KINDS",
         "datasets/cirrus/writer.py:_EXTRA_COLUMNS",
         "simulation/recording/frames.py:_BYTES_PER_SHOT",
-        "simulation/raw/clocks.py:KINDS",
+        "simulation/recording/raw/clocks.py:KINDS",
     }
 
 
@@ -130,7 +130,7 @@ def test_the_margin_round_boxes_stands_once() -> None:
         and isinstance(value, ast.Constant)
         and value.value == 0.05
     ]
-    assert margins == ["geometry/points.py:BOX_MARGIN_M"]
+    assert margins == ["geometry/boxes.py:BOX_MARGIN_M"]
 
 
 def test_whether_data_are_simulated_is_decided_in_one_place() -> None:
