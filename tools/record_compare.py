@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from record_texts import ruled
 
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|nan|inf)(?![\w])")
 _SHOWN = 6
@@ -91,7 +92,7 @@ class _Comparison:
 
     def _texts(self, step: str, was: str, name: str) -> Iterator[str]:
         paths = (self.a / "texts" / step / was, self.b / "texts" / step / name)
-        old, new = (path.read_text(encoding="utf-8") for path in paths)
+        old, new = (ruled(path.read_text(encoding="utf-8")) for path in paths)
         old = self.renamed(old)
         if old == new or (self.pattern and _collapsed(old) == _collapsed(new)):
             return
@@ -115,6 +116,7 @@ class _Comparison:
 
     def _told(self, old: Any, new: Any) -> str:
         if isinstance(old, str) and isinstance(new, str):
+            old, new = ruled(old), ruled(new)
             largest = _largest_difference(self.renamed(old), new)
             if self.renamed(old) == new or (largest is not None and largest[0] <= self.tolerance):
                 return ""

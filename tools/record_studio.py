@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 Message = dict[str, Any]
 GOT = Path("got")
@@ -192,7 +193,7 @@ def window(studio: Studio, name: str, **hello: Any) -> Iterator[tuple[Window, Me
     """Open a window and say hello."""
     headers, origin = {"Cookie": studio.cookie}, f"http://{studio.host}"
     where = f"ws://{studio.host}/socket"
-    with connect(where, origin=origin, additional_headers=headers, max_size=1 << 26) as socket:  # type: ignore[arg-type]
+    with connect(where, origin=Origin(origin), additional_headers=headers, max_size=1 << 26) as socket:
         opened = Window(socket, name)
         try:
             welcome = opened.ask("hello", "welcome", window=name, **hello)

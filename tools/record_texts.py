@@ -49,7 +49,9 @@ _RULES: tuple[tuple[str, str], ...] = (
     (r'(?m)^[0-9a-f]{8} (?=\{"seq")', "SUM "),  # of a journal's line, its time included
     (r"\b\d{8}T\d{6}(\.\d+)?Z", "STAMP"),
     (r"\b0x[0-9a-f]{8,}\b", "ADDRESS"),
-    (r'("commit": ")[0-9a-f]{7,40}', r"\1COMMIT"),
+    (r'("commit": ")(?:[0-9a-f]{7,40}|COMMIT)(?:-dirty)?', r"\1COMMIT"),
+    (r"\bcommit [0-9a-f]{12}(?:-dirty)?\b", "commit COMMIT"),  # that of the tree; those of shipped weights are shorter
+    (r"(<dt>commit</dt><dd>)(?:[0-9a-f]{7,40}|COMMIT)(?:-dirty)?", r"\1COMMIT"),
     (r'("(?:farfield|numpy|scipy|torch|python)": ")\d[^"]*', r"\1VERSION"),
     (r"TREE/src/[\w/]+\.py:\d+", "SOURCE"),  # of a warning
     (r'File "TREE/src/[\w/]+\.py", line \d+, in \w+\n.*\n(?: *[\^~]+\n)?', "SOURCE\n"),  # of a traceback
@@ -83,8 +85,7 @@ class Places:
         """The text without what is this run's alone."""
         for word in sorted(self.words, key=len, reverse=True):
             text = text.replace(word, self.words[word])
-        for pattern, stands in _RULES:
-            text = re.sub(pattern, stands, text)
+        text = ruled(text)
         text = re.sub(_DATES, self._date, text)
         return re.sub(r"(?<![\w.])1\d{9}(?:\.\d+|\d{3}|\d{6}|\d{9})?(?![\w.])", self._moment, text)
 
@@ -96,6 +97,13 @@ class Places:
         whole = found.group().partition(".")[0]
         seconds = int(whole) / 10 ** (len(whole) - 10)
         return "NOW" if self.began_s - 1 <= seconds <= self.ends_s + 1 else found.group()
+
+
+def ruled(text: str) -> str:
+    """A text after the rules that hold for every run; a record made under fewer rules needs them again."""
+    for pattern, stands in _RULES:
+        text = re.sub(pattern, stands, text)
+    return text
 
 
 _DATES = r"\b(20\d\d-\d\d-\d\d)(?:[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?: ?(?:UTC|Z|[+-]\d\d:?\d\d))?)?"
