@@ -37,14 +37,14 @@ def floors() -> dict[str, int]:
 
 @cache
 def room_of_code(code: CodeType) -> str | None:
-    """The room of a function of ours; None for others and for the bodies of modules and classes."""
+    """The room of code of ours; None for others'."""
     path = Path(code.co_filename)
-    ours = path.is_relative_to(SOURCE) and bool(code.co_flags & CO_OPTIMIZED)
-    return path.relative_to(SOURCE).parts[0].removesuffix(".py") if ours else None
+    return path.relative_to(SOURCE).parts[0].removesuffix(".py") if path.is_relative_to(SOURCE) else None
 
 
 def room_of(frame: FrameType | None) -> str | None:
-    """The room of the nearest function of ours at or above a frame of the stack."""
+    """The room of the nearest code of ours at or above a frame of the stack: what a module calls while it is imported
+    is called by the module, not by what imports it."""
     while frame is not None:
         room = room_of_code(frame.f_code)
         if room is not None:
@@ -61,7 +61,8 @@ class Walk:
 
     def __call__(self, frame: FrameType, event: str, argument: Any) -> None:
         """As ``sys.setprofile`` calls it."""
-        to = room_of_code(frame.f_code) if event == "call" else None
+        is_function = event == "call" and bool(frame.f_code.co_flags & CO_OPTIMIZED)
+        to = room_of_code(frame.f_code) if is_function else None
         if to is None:
             return
         source = room_of(frame.f_back)
@@ -86,7 +87,6 @@ def walked(path: Path, out: Path) -> Walk:
 CLIMBS = {
     ("frame", "datasets"),  # a frame's loader, which the reader gave it
     ("frame", "simulation"),  # likewise the simulator
-    ("registry", "simulation"),  # a rig's module is imported when it is looked up
     ("simulation", "training"),  # the report of the training, which the recorder tells of its progress
 }
 

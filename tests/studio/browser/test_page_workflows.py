@@ -191,7 +191,7 @@ def opened(window, origin):
     window.settled()
 
 
-def taken_up(window, row, wanted):
+def assert_sent(window, row, wanted):
     """Wait until a window has sent the edit of another one, and look at the box."""
     window.until(f"state.boxes.find((one) => one.id === '{row['id']}').version > {row['version']}")
     window.until("state.connected && farfieldTest.state.pending === 0")
@@ -212,7 +212,7 @@ def test_edits_of_a_window_that_was_closed_unsent_are_sent_by_a_new_one(live, pa
     line.join()
     wait_until_unlocked(second.page, live.origin)
     opened(second, live.origin)
-    taken_up(second, row, wanted)
+    assert_sent(second, row, wanted)
 
 
 def test_edits_of_a_window_that_is_closed_later_are_sent_by_one_that_waits(live, parted):
@@ -230,4 +230,4 @@ def test_edits_of_a_window_that_is_closed_later_are_sent_by_one_that_waits(live,
     assert second.box(row["id"])["box"] == pytest.approx(row["box"])
     assert first.page.evaluate("farfieldTest.state.pending") == 1
     first.page.close()
-    taken_up(second, row, wanted)
+    assert_sent(second, row, wanted)
