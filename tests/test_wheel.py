@@ -23,12 +23,12 @@ from importlib.resources import files
 from pathlib import Path
 import sys
 import farfield
-from farfield.pages.evaluation_page import render
+from farfield.pages.evaluation_page import render_report
 from farfield.evaluation.record import Evaluation
 from farfield.simulation.frozen import FROZEN
 home = Path(farfield.__file__).parent
 assert home.is_relative_to(sys.argv[1]), home
-assert "<html" in render(Evaluation(results={}))
+assert "<html" in render_report(Evaluation(results={}))
 assert all((files("farfield.simulation") / f"{name}.json").is_file() for name in FROZEN)
 from farfield.experiments.catalogue import find, names
 assert len(names()) >= 24 and find("pointpillars-cirrus-sim").is_relative_to(home), "no experiments"

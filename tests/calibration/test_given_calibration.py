@@ -87,12 +87,17 @@ def test_edges_anywhere_tell_nothing() -> None:
 
 @pytest.mark.slow
 def test_edges_anywhere_seldom_accuse_a_camera() -> None:
-    """Of 60 checks of eight frames 12 did when eight were read like twenty; one does now (seed 6)."""
+    """Of 60 checks of eight frames 12 did when eight were read like twenty.
+
+    Which ones do hangs on the processor's rounding: 1 of these 60 on one machine, 2 on another. Of 180 more, whose seeds
+    served for nothing else (100 to 189), 11 did: 6 %, 3 to 11 by the binomial's interval. 6 of 60 or fewer are to be
+    expected of that rate 93 times of 100, of the former one (20 %) 3 times of 100.
+    """
     claimed = 0
     for seed in range(30):
         views, turned = seen(np.random.default_rng(seed), None), moved(CAMERA, np.array([0, 0.02, 0, 0, 0, 0]))
         claimed += sum(check_camera(each, views).claimed for each in (CAMERA, turned))
-    assert claimed <= 1
+    assert claimed <= 6
 
 
 def test_few_frames_must_show_more() -> None:
