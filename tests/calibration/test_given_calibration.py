@@ -89,9 +89,9 @@ def test_edges_anywhere_tell_nothing() -> None:
 def test_edges_anywhere_seldom_accuse_a_camera() -> None:
     """Of 60 checks of eight frames 12 did when eight were read like twenty.
 
-    Which ones do hangs on the processor's rounding: 1 of these 60 on one machine, 2 on another. Of 180 more, whose seeds
-    served for nothing else (100 to 189), 11 did: 6 %, 3 to 11 by the binomial's interval. 6 of 60 or fewer are to be
-    expected of that rate 93 times of 100, of the former one (20 %) 3 times of 100.
+    Which ones do hangs on the processor's rounding: 1 of these 60 on one machine, 2 on another. Of 180 more, whose
+    seeds served for nothing else (100 to 189), 11 did: 6 %, 3 to 11 by the binomial's interval. 6 of 60 or fewer are
+    to be expected of that rate 93 times of 100, of the former one (20 %) 3 times of 100.
     """
     claimed = 0
     for seed in range(30):

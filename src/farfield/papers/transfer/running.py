@@ -176,7 +176,7 @@ class TransferExperiment:
         """Simulate, then do all runs: first those that others start from."""
         self.runs_folder.mkdir(parents=True, exist_ok=True)
         self.sets.provide(workers=self.workers, progress=self._bar("simulating"), report=self.said)
-        setting = f"{self.table.digest} {code_digest(('training', 'detectors', 'detection', 'metrics'))}"
+        setting = f"{self.table.digest} {code_digest(('training', 'detectors', 'evaluation', 'metrics'))}"
         journal = JobJournal(self.runs_folder / ".journal.jsonl", setting)
         for wave in runs_of(self.table, self.seeds):
             units = [Unit(each.folder, parameters=each) for each in wave]
