@@ -20,14 +20,14 @@ from tinygrid import RUNS, tiny
 from farfield.errors import ConfigError
 from farfield.papers.running import JOURNAL
 
-TESTS = Path(__file__).resolve().parents[1]
+SUPPORT = Path(__file__).resolve().parents[1] / "support"
 PATIENCE_S = 240.0
 JOBS = 2 * len(RUNS)
 
 
 def started(out: Path, workers: int) -> subprocess.Popen[bytes]:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *filter(None, sys.path)])}
-    command = [sys.executable, str(TESTS / "tinygrid.py"), str(out), str(workers)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(SUPPORT), *filter(None, sys.path)])}
+    command = [sys.executable, str(SUPPORT / "tinygrid.py"), str(out), str(workers)]
     return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
 
 

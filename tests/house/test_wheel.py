@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 LIMIT = 34_000_000  # the weights of seven detectors take 27 of 31 MB
 DATA = (".safetensors", ".html", ".css", ".js", ".json", ".yaml", ".typed")
 SAMPLES = (".xyz", ".pcd", ".h5", ".png", ".jpg", ".txt", ".yml")

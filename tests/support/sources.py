@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
-SOURCE = Path(__file__).resolve().parents[1] / "src" / "farfield"
+SOURCE = Path(__file__).resolve().parents[2] / "src" / "farfield"
 
 
 @cache

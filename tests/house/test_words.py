@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from sources import sources, trees
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 EMPTY_WORDS = {"found", "kept", "seen", "known", "told", "given", "each", "place", "wanted", "asked", "said"}
 """Participles and fillers that name no variable and no argument."""

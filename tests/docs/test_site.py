@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,9 @@ def test_the_site_builds_without_a_warning_and_has_every_public_name(tmp_path: P
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     shown = "".join(path.read_text("utf-8") for path in (tmp_path / "docs" / "site" / "api").glob("*.html"))
-    names = re.findall(r"^(?:class|def) (\w+)", (ROOT / "tests" / "public_api.txt").read_text("utf-8"), re.MULTILINE)
+    names = re.findall(
+        r"^(?:class|def) (\w+)", (ROOT / "tests" / "api" / "public_api.txt").read_text("utf-8"), re.MULTILINE
+    )
     assert names
     absent = [name for name in names if not re.search(rf'id="[\w.]*\.{name}"', shown)]
     assert not absent

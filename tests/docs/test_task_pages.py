@@ -11,7 +11,7 @@ import pytest
 from farfield.datasets.folder import TABLE_NAME
 from farfield.files.boxes_csv import COLUMNS
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 PAGES = {
     "score-boxes.md": ("DDS",),
