@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from farfield.simulation.recording import RecordingSummary
     from farfield.simulation.recording.raw import RawRecorded
     from farfield.training.report import TrainingReport
-    from farfield.training.starting import TransferReport
+    from farfield.training.transfer import TransferReport
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -147,7 +147,7 @@ def transfer(
         ConfigError: If they are another detector's, hold a number that is not finite, or too little of them fits.
     """
     from farfield.training.config import InitConfig
-    from farfield.training.starting import start_network
+    from farfield.training.transfer import start_network
 
     chosen = InitConfig(rename=dict(rename or {}), inputs=inputs, head=head, skip=tuple(skip), least_taken=least_taken)
     return start_network(network, weights if isinstance(weights, Mapping) else str(weights), chosen)

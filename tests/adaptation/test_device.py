@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 from small import batch_of, small_detector
 
 from farfield.adaptation.device import DeviceAdaptation
-from farfield.adaptation.twin import with_own_head, with_own_statistics
+from farfield.adaptation.networks import with_own_head, with_own_statistics
 from farfield.datasets import open_dataset
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights

@@ -7,9 +7,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from farfield.adaptation.measuring import gradient_norms, gradient_ratio, probe_accuracy
-from farfield.adaptation.reversal import reverse
-from farfield.adaptation.signs import signs_of
+from farfield.adaptation.adversarial import reverse
+from farfield.adaptation.failure_modes import signs_of
+from farfield.adaptation.probes import gradient_norms, gradient_ratio, probe_accuracy
 from farfield.detectors.features import FeatureMap, PointFeatures
 
 

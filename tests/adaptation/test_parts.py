@@ -7,6 +7,15 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from farfield.adaptation.adversarial import (
+    PatchDiscriminator,
+    RowDiscriminator,
+    balanced_accuracy,
+    domain_loss,
+    logits_of,
+    reverse,
+    schedule,
+)
 from farfield.adaptation.base import effective_rank, mean_variance
 from farfield.adaptation.cells import (
     background_weight,
@@ -16,16 +25,7 @@ from farfield.adaptation.cells import (
     occupied,
     values_at,
 )
-from farfield.adaptation.discriminators import (
-    PatchDiscriminator,
-    RowDiscriminator,
-    balanced_accuracy,
-    domain_loss,
-    logits_of,
-)
-from farfield.adaptation.memory import Memory, effective_number, similarity
-from farfield.adaptation.objects import bilinear, descriptors, objects_of, sampled
-from farfield.adaptation.reversal import reverse, schedule
+from farfield.adaptation.objects import Memory, bilinear, descriptors, effective_number, objects_of, sampled, similarity
 from farfield.detectors.features import FeatureMap, PointFeatures
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.sparse.cells import SparseTensor

@@ -20,8 +20,7 @@ from farfield.frame import Frame
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.config import AugmentationConfig
 from farfield.training.method import Stream
-from farfield.training.samples import TrainingSample, TrainingSamples
-from farfield.training.streams import batch_shares, batches
+from farfield.training.samples import TrainingSample, TrainingSamples, batch_shares, batches
 
 CLOUDS = ("gaussian", "uniform")
 BOTH = {"labelled": {"clouds": list(CLOUDS)}}

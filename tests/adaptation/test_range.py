@@ -14,8 +14,8 @@ torch = pytest.importorskip("torch")
 
 from small import batch_of, small_detector
 
+from farfield.adaptation.adversarial import by_coin
 from farfield.adaptation.cells import Cells
-from farfield.adaptation.discriminators import by_coin
 from farfield.adaptation.range import RangeAdaptation, RangeSettings, draw_windows, local_error
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError

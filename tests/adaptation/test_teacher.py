@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from small import batch_of, small_detector
 
-from farfield.adaptation.pseudo import PseudoLabels, StrongAugmentation, sorted_by_score, strong_view, targets_of
+from farfield.adaptation.pseudo_labels import PseudoLabels, StrongAugmentation, sorted_by_score, strong_view, targets_of
 from farfield.adaptation.teacher import MeanTeacher, TeacherSettings
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FarfieldError

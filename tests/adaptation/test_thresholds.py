@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("torch")
 
-from farfield.adaptation.pseudo import levels, sorted_by_score, spoken
+from farfield.adaptation.pseudo_labels import levels, sorted_by_score, spoken
 from farfield.adaptation.thresholds import background_below, calibrated, judged, sure_from, thresholds_of
 from farfield.frame import Boxes
 

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 from test_teacher import method_of, run, start  # noqa: F401
 
-from farfield.adaptation.pseudo import PseudoLabels, in_weather
+from farfield.adaptation.pseudo_labels import PseudoLabels, in_weather
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError

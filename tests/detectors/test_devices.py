@@ -16,7 +16,7 @@ from farfield.detectors.runtime import Detector, record_trunk
 from farfield.errors import ConfigError
 from farfield.frame import Cloud
 from farfield.training.config import TrainingConfig
-from farfield.training.launching import precision_of
+from farfield.training.processes import precision_of
 
 
 @pytest.fixture

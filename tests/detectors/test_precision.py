@@ -13,7 +13,7 @@ from farfield.cli import main
 from farfield.detectors import DETECTORS, devices
 from farfield.detectors.devices import chosen_precision, flags_of_cpu
 from farfield.training.config import TrainingConfig
-from farfield.training.launching import precision_of
+from farfield.training.processes import precision_of
 
 FULL = {"_is_avx512_supported": True, "_is_avx512_bf16_supported": True, "_is_amx_tile_supported": True}
 KINDS = {

@@ -41,9 +41,7 @@ EMPTY_MODULES = {"settings", "work", "parts", "words", "common", "base", "contra
 
 EXPLAINED = {
     "adaptation/base.py": "what every method of adaptation inherits",
-    "adaptation/settings.py": "what the settings of every method of adaptation inherit",
     "datasets/base.py": "the Dataset that every reader inherits",
-    "experiments/adapting/settings.py": "the options of an adaptation",
     "metrics/centre/settings.py": "the options of the scores by distance of centres",
     "metrics/kradar/settings.py": "the options of K-Radar's average precision",
 }

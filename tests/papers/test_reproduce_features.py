@@ -37,7 +37,7 @@ def test_axes_are_those_of_most_variance_whatever_the_unit() -> None:
 
 
 def test_features_are_those_of_cells_with_points() -> None:
-    from farfield.adaptation.seen import features_seen
+    from farfield.adaptation.probes import features_seen
 
     config = DETECTORS["pointpillars"].config_class(
         grid={"range_m": 32.0, "half_width_m": 8.0, "cell_m": 0.5}, widths=(8, 8, 8), depths=(0, 0, 0), neck_width=8

@@ -45,7 +45,7 @@ def test_shipped_budgets_keep_the_rules(paper: str) -> None:
 def test_every_run_of_every_budget_is_a_valid_experiment_and_method(paper: str, budget: str) -> None:
     from farfield.detectors import build_detector
     from farfield.training.method import METHODS
-    from farfield.training.streams import batch_shares
+    from farfield.training.samples import batch_shares
 
     grid, built = load_grid(paper), set()
     for job in jobs(grid, budget):

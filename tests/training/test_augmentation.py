@@ -7,8 +7,7 @@ pytest.importorskip("torch")
 
 from farfield.frame import Boxes
 from farfield.geometry.boxes import count_points_in_boxes
-from farfield.training.augmentation import augment
-from farfield.training.bank import ObjectBank, cut_out, draw
+from farfield.training.augmentation import ObjectBank, augment, cut_out, draw
 from farfield.training.config import AugmentationConfig
 from farfield.training.samples import systematic
 

@@ -28,8 +28,7 @@ from farfield.training.augmentation import draw_change
 from farfield.training.checkpoints import load_checkpoint, save_checkpoint
 from farfield.training.config import AugmentationConfig
 from farfield.training.method import METHODS, ParamGroup, Stream, Supervised
-from farfield.training.samples import TrainingSamples, bindings
-from farfield.training.streams import batch_shares
+from farfield.training.samples import TrainingSamples, batch_shares, bindings
 
 RUN = """
 import sys

@@ -22,8 +22,8 @@ from farfield.detectors.weights import load_weights, resolve_weights, save_weigh
 from farfield.errors import ConfigError
 from farfield.experiments.schema import load_experiment
 from farfield.training.checkpoints import load_checkpoint
-from farfield.training.freezing import frozen_modules, frozen_names
-from farfield.training.starting import nearest_sizes, start_network
+from farfield.training.param_groups import frozen_modules, frozen_names
+from farfield.training.transfer import nearest_sizes, start_network
 
 SHIPPED = "pointpillars-cirrus-sim"
 OTHER_CLASSES = {

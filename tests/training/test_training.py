@@ -28,12 +28,11 @@ from farfield.experiments.schema import dump_experiment, load_experiment
 from farfield.frame import Boxes
 from farfield.geometry.boxes import count_points_in_boxes
 from farfield.simulation.recording import record
-from farfield.training.augmentation import augment
-from farfield.training.bank import SAMPLES_PER_FRAME, ObjectBank, cut_out
+from farfield.training.augmentation import SAMPLES_PER_FRAME, ObjectBank, augment, cut_out
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.config import AugmentationConfig, TrainingConfig
 from farfield.training.loop import lay_out_gradients
-from farfield.training.rates import one_cycle
+from farfield.training.param_groups import one_cycle
 from farfield.training.samples import TrainingSamples
 
 

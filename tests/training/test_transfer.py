@@ -25,8 +25,8 @@ from farfield.experiments.schema import load_experiment
 from farfield.frame import Cloud
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.loop import Training
-from farfield.training.rates import groups_of, one_cycle, rates_of
-from farfield.training.tensors import by_average, by_columns, by_kernel
+from farfield.training.param_groups import groups_of, one_cycle, rates_of
+from farfield.training.transfer import by_average, by_columns, by_kernel
 
 
 def scene(seed=0, count=400):

@@ -121,7 +121,7 @@ def test_a_stopped_run_goes_on_to_the_same_weights(experiment, tmp_path):
 
 
 def test_a_second_signal_ends_at_once():
-    from farfield.training.stopping import stopping
+    from farfield.training.processes import stopping
 
     with stopping() as stop:
         signal.raise_signal(signal.SIGINT)

@@ -3,14 +3,15 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from pydantic import Field
 from torch import Tensor, distributed, nn
 
 from farfield.adaptation.cells import Cells
-from farfield.adaptation.held import held_figures
-from farfield.adaptation.measuring import gradient_norms, gradient_ratio, total
+from farfield.adaptation.probes import gradient_norms, gradient_ratio, held_figures, total
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import process_count, sum_over_processes
@@ -19,6 +20,12 @@ from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.training.method import DETECTOR, Batch, Method
 
+HELD_OUT: Any = Field(
+    0,
+    ge=0,
+    description="frames of each stream that are not trained on: at each tenth of the run the domains are told there",
+)
+"""The setting of that name, which every method has."""
 _DRAWS = 5  # word of the generators, after those of the samples and the loop
 _MEASURED = 50  # times in a training that gradients are measured
 

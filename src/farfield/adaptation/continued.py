@@ -3,9 +3,8 @@
 from pydantic import Field
 
 from farfield.adaptation.base import start_from
-from farfield.adaptation.settings import MethodSettings, settings_of
 from farfield.detectors.network import Network
-from farfield.training.method import Supervised
+from farfield.training.method import MethodSettings, Supervised, settings_of
 
 
 class ContinuedSettings(MethodSettings):

@@ -12,16 +12,14 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from farfield.adaptation.base import Adaptation, start_from
+from farfield.adaptation.adversarial import Adversarial, AdversarialLoss, discriminator, schedule
+from farfield.adaptation.base import HELD_OUT, Adaptation, start_from
 from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
-from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
-from farfield.adaptation.reversal import schedule
-from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
-from farfield.adaptation.twin import with_own_head, with_own_statistics
+from farfield.adaptation.networks import with_own_head, with_own_statistics
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.network import Network
-from farfield.training.method import DETECTOR, Batch, ParamGroup, Stream
+from farfield.training.method import DETECTOR, Batch, MethodSettings, ParamGroup, Stream, settings_of
 
 _SOURCE, _TARGET, _REST = "source", "target", "rest"
 

@@ -15,18 +15,16 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.adaptation.base import Adaptation, common_variance, start_from
+from farfield.adaptation.adversarial import Adversarial, AdversarialLoss, discriminator, schedule
+from farfield.adaptation.base import HELD_OUT, Adaptation, common_variance, start_from
 from farfield.adaptation.cells import Cells, inside, occupied, shown, values_at, z_range_m
-from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
-from farfield.adaptation.reversal import schedule
-from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
 from farfield.detectors.features import Features, PointFeatures
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import normaliser
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
-from farfield.training.method import DETECTOR, LABELLED, Batch, ParamGroup, Stream
+from farfield.training.method import DETECTOR, LABELLED, Batch, MethodSettings, ParamGroup, Stream, settings_of
 
 
 class PairLoss(MethodSettings):

@@ -14,7 +14,8 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.adaptation.base import Adaptation, start_from
+from farfield.adaptation.adversarial import Adversarial, AdversarialLoss, discriminator, schedule
+from farfield.adaptation.base import HELD_OUT, Adaptation, start_from
 from farfield.adaptation.cells import (
     Cells,
     background_weight,
@@ -24,17 +25,13 @@ from farfield.adaptation.cells import (
     shown,
     z_range_m,
 )
-from farfield.adaptation.discriminators import Adversarial, AdversarialLoss, discriminator
-from farfield.adaptation.memory import Memory, effective_number, similarity
-from farfield.adaptation.objects import ObjectFeatures, objects_of
-from farfield.adaptation.reversal import schedule
-from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
+from farfield.adaptation.objects import Memory, ObjectFeatures, effective_number, objects_of, similarity
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import normaliser, sum_over_processes
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError
-from farfield.training.method import DETECTOR, LABELLED, Batch, ParamGroup, Stream
+from farfield.training.method import DETECTOR, LABELLED, Batch, MethodSettings, ParamGroup, Stream, settings_of
 
 _LEAST_ENTRIES = 8  # fewer have no spread to speak of
 

@@ -15,10 +15,11 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.adaptation.base import Adaptation, start_from
+from farfield.adaptation.base import HELD_OUT, Adaptation, start_from
 from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
-from farfield.adaptation.measuring import gradient_norms, total
-from farfield.adaptation.pseudo import (
+from farfield.adaptation.networks import with_own_statistics
+from farfield.adaptation.probes import gradient_norms, total
+from farfield.adaptation.pseudo_labels import (
     PseudoLabels,
     Score,
     StrongAugmentation,
@@ -28,14 +29,12 @@ from farfield.adaptation.pseudo import (
     strong_view,
     targets_of,
 )
-from farfield.adaptation.settings import HELD_OUT, MethodSettings, settings_of
-from farfield.adaptation.twin import with_own_statistics
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import process_count, sum_over_processes
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError, FarfieldError
-from farfield.training.method import DETECTOR, Batch, Stream
+from farfield.training.method import DETECTOR, Batch, MethodSettings, Stream, settings_of
 from farfield.training.weather import check_weather
 
 _SOURCE, _TARGET, _TEACHER, _COUNTS = "source", "target", "teacher", "counts"

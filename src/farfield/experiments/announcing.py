@@ -7,8 +7,8 @@ from farfield.datasets import Dataset
 from farfield.detectors.network import Network
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.training.config import TrainingConfig
-from farfield.training.launching import kind_of_device, precision_of
 from farfield.training.loop import CHECKPOINT_NAME
+from farfield.training.processes import kind_of_device, precision_of
 
 
 def lines_of(

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from farfield.adaptation.signs import signs_of
+from farfield.adaptation.failure_modes import signs_of
 from farfield.experiments.plan import LOG_NAME, logged
 from farfield.experiments.schema import Experiment, load_experiment
 from farfield.frame.provenance import environment

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from farfield.adaptation.signs import signs_of
+from farfield.adaptation.failure_modes import signs_of
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import Sweeps
 from farfield.detectors import build_detector
@@ -19,14 +19,13 @@ from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import environment
 from farfield.simulation.recording import ensure
-from farfield.training.freezing import frozen_names, frozen_now
-from farfield.training.launching import launch
 from farfield.training.loop import CHECKPOINT_NAME, Training
 from farfield.training.method import DETECTOR, METHODS, Method, Stream
-from farfield.training.rates import described
+from farfield.training.param_groups import described, frozen_names, frozen_now
+from farfield.training.processes import launch
 from farfield.training.report import TrainingReport
 from farfield.training.samples import TrainingSamples
-from farfield.training.starting import TransferReport, start_network
+from farfield.training.transfer import TransferReport, start_network
 from farfield.training.validating import Validation, spread
 
 LOG_NAME = "log.jsonl"

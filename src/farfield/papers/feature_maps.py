@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from farfield.adaptation.seen import OccupiedFeatures, features_seen
+from farfield.adaptation.probes import OccupiedFeatures, features_seen
 from farfield.detectors.runtime import Detector
 from farfield.papers.grid import Score, Tree
 from farfield.papers.places import DataLocation

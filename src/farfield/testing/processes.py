@@ -19,7 +19,7 @@ import torch
 from farfield.detectors.inputs import Inputs
 from farfield.frame import Boxes
 from farfield.testing.detectors import arrays_of, built, made_frame
-from farfield.training.distributed import average_gradients, average_values, synchronise_norms
+from farfield.training.processes import average_gradients, average_values, synchronise_norms
 
 PROCESSES = 2
 PATIENCE_S = 300.0

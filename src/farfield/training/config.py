@@ -119,7 +119,7 @@ UNCHANGED = AugmentationConfig(flip_probability=0.0, rotation_rad=0.0, scale=0.0
 
 
 class InitConfig(_Settings):
-    """What of other weights a network takes; :mod:`farfield.training.starting` has the rules in their order."""
+    """What of other weights a network takes; :mod:`farfield.training.transfer` has the rules in their order."""
 
     rename: dict[str, str] = Field(
         default_factory=dict, description="beginnings of names in the weights and what they are called here"

@@ -17,19 +17,23 @@ from farfield.detectors.devices import fitting, name_of
 from farfield.detectors.runtime import keep_freed_memory
 from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
-from farfield.training.averaging import averaged, follow, state_of, take_over
+from farfield.training.averaging import averaged, follow, keep_reestimated, reestimate, state_of, take_over
 from farfield.training.checkpoints import TrainingState, load_run, prolonged, save_checkpoint
 from farfield.training.config import TrainingConfig
-from farfield.training.distributed import average_gradients, average_values, spread_state, synchronise_norms
-from farfield.training.freezing import frozen_now, hold
-from farfield.training.launching import launch, precision_of
 from farfield.training.method import DETECTOR, Method, ParamGroup, total_of
-from farfield.training.rates import always_frozen, groups_of, one_cycle, rates_of, set_rates
-from farfield.training.reestimating import keep_reestimated, reestimate
+from farfield.training.param_groups import always_frozen, frozen_now, groups_of, hold, one_cycle, rates_of, set_rates
+from farfield.training.processes import (
+    StopSignal,
+    average_gradients,
+    average_values,
+    launch,
+    precision_of,
+    spread_state,
+    stopping,
+    synchronise_norms,
+)
 from farfield.training.report import TrainingReport
-from farfield.training.samples import TrainingSample, TrainingSamples
-from farfield.training.stopping import StopSignal, stopping
-from farfield.training.streams import batch_of, batch_shares, batches
+from farfield.training.samples import TrainingSample, TrainingSamples, batch_of, batch_shares, batches
 from farfield.training.validating import Best, Validation, best_of, forget
 
 CHECKPOINT_NAME = "checkpoint.pt"

@@ -6,14 +6,15 @@ The loop owns the rest: optimiser, schedule, averages, checkpoints, processes.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeVar
 
 import torch
+from pydantic import BaseModel, ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.network import Network
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, fault_of
 from farfield.geometry.boxes import Boxes
 from farfield.registry import Registry
 
@@ -163,6 +164,31 @@ class Method(ABC):
         Those of files that are not named are the experiment's first stream's.
         """
         return {}
+
+
+class MethodSettings(BaseModel):
+    """Settings of a method, or of a part of it; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+Settings = TypeVar("Settings", bound=MethodSettings)
+
+
+def settings_of(kind: type[Settings], method: str, settings: Mapping[str, Any]) -> Settings:
+    """Check the settings of a method.
+
+    Raises:
+        ConfigError: If one is unknown or does not fit; the message names each.
+    """
+    try:
+        return kind.model_validate(dict(settings))
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, item['loc'])) or 'settings'}: {fault_of(item)}" for item in error.errors()]
+        names = ", ".join(field.alias or name for name, field in kind.model_fields.items())
+        raise ConfigError(
+            f"method {method}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines) + f"\nIt has: {names}."
+        ) from error
 
 
 class Supervised(Method):

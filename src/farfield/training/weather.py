@@ -18,7 +18,7 @@ from farfield.simulation.overlay import LIDARS, OverlaidWeather, overlay, overla
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.weather.icing import BLOCKED_TRANSMISSION, WIDTHS_DEG
-from farfield.training.bank import Points
+from farfield.training.augmentation import Points
 from farfield.training.config import WeatherConfig
 
 _CONDITIONS = {"fog": "fog", "rain": "rain", "snow": "heavy_snow", "ice": "overcast"}

@@ -1,7 +1,6 @@
 """From a trained detector and a user's unlabelled sweeps to weights for these sweeps: self-training in rounds."""
 
-from farfield.experiments.adapting.adapting import adapt, rehearsed
-from farfield.experiments.adapting.job import AdaptationResult
-from farfield.experiments.adapting.settings import AdaptationOptions
+from farfield.experiments.adapting.job import AdaptationResult, adapt, rehearsed
+from farfield.experiments.adapting.options import AdaptationOptions
 
 __all__ = ["AdaptationOptions", "AdaptationResult", "adapt", "rehearsed"]

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.adaptation.pseudo import levels, spoken
+from farfield.adaptation.pseudo_labels import levels, spoken
 from farfield.datasets import Dataset
 from farfield.errors import ConfigError, FarfieldError
-from farfield.experiments.adapting.settings import AdaptationOptions, CalibratedThresholds
+from farfield.experiments.adapting.options import AdaptationOptions, CalibratedThresholds
 from farfield.experiments.adapting.source import TrainingHistory
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import DataConfig, Experiment, experiment_of

@@ -12,13 +12,13 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
-from farfield.adaptation.settings import MethodSettings
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.network import Assigner, Network
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
 from farfield.training.augmentation import Augmentation, draw_change
 from farfield.training.config import AugmentationConfig, WeatherConfig
+from farfield.training.method import MethodSettings
 from farfield.training.weather import draw_laid, holding, lay_over
 
 Score = float | dict[str, float]

@@ -1,18 +1,81 @@
-"""Several processes that train as one would with the whole batch: batch normalisation, gradients.
+"""The processes of a training: how they start, how they stop, and how several train as one would with the whole batch.
 
-:mod:`farfield.training.launching` starts them. Gradients are averaged here after each backward pass rather than by
-DistributedDataParallel, which demands that every process use every parameter: a process whose frames have no points or
-no proposals does not.
+Gradients are averaged here after each backward pass rather than by DistributedDataParallel, which demands that every
+process use every parameter: a process whose frames have no points or no proposals does not.
 """
 
-from collections.abc import Iterable
+import atexit
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from types import FrameType
 from typing import Any
 
 import torch
+from lightning_fabric import Fabric
+from lightning_fabric.strategies import DDPStrategy
 from torch import Tensor, distributed, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
+from farfield.detectors.devices import default_precision
 from farfield.detectors.losses import process_count, sum_over_processes
+from farfield.training.config import TrainingConfig
+
+# The start of the processes, by Lightning Fabric, which takes a second to import
+
+_PATIENCE = timedelta(days=1)  # the first process may simulate the data while the others wait
+
+
+def launch(config: TrainingConfig) -> Fabric:
+    """Start, or join, the processes of a training.
+
+    Under torchrun the number of processes is torchrun's; otherwise it is ``config.devices``.
+    """
+    accelerator, precision = _accelerator(config), precision_of(config)
+    devices, nodes = config.devices, 1
+    if distributed.is_torchelastic_launched():
+        devices = int(os.environ["LOCAL_WORLD_SIZE"])
+        nodes = int(os.environ["WORLD_SIZE"]) // devices
+    several = nodes > 1 or devices != 1
+    fabric = Fabric(
+        accelerator=accelerator,
+        devices=devices,
+        num_nodes=nodes,
+        strategy=DDPStrategy(timeout=_PATIENCE) if several else "auto",
+        precision="bf16-mixed" if precision == "bf16" else "32-true",
+    )
+    fabric.launch()
+    if several:
+        atexit.register(_disconnect)
+    return fabric
+
+
+def _disconnect() -> None:
+    """Close the connections before the interpreter goes: gloo's threads else may meet a process that is gone."""
+    if distributed.is_available() and distributed.is_initialized():
+        distributed.destroy_process_group()
+
+
+def precision_of(config: TrainingConfig) -> str:
+    """``"fp32"`` or ``"bf16"``: what ``config.precision`` means on this machine."""
+    device = torch.device("cuda" if kind_of_device(config) == "GPU" else "cpu")
+    if config.precision != "auto":
+        return config.precision
+    return "bf16" if default_precision(device)[0] == "bf16" else "fp32"  # float16's gradients would want a scale
+
+
+def kind_of_device(config: TrainingConfig) -> str:
+    """``"GPU"`` or ``"CPU"``."""
+    return "GPU" if _accelerator(config) in ("gpu", "cuda") else "CPU"
+
+
+def _accelerator(config: TrainingConfig) -> str:
+    if config.accelerator != "auto":
+        return config.accelerator
+    return "gpu" if torch.cuda.is_available() else "cpu"
 
 
 @torch.no_grad()
@@ -119,3 +182,56 @@ class _SyncedNorm3d(_SyncedNorm, nn.BatchNorm3d):
 
 
 _SYNCED: dict[Any, Any] = {nn.BatchNorm1d: _SyncedNorm, nn.BatchNorm2d: _SyncedNorm, nn.BatchNorm3d: _SyncedNorm3d}
+
+
+# Ctrl-C and SIGTERM between two steps, so that a run keeps what it has done
+
+Handler = Callable[[int, FrameType | None], Any] | int | None
+
+
+class StopSignal:
+    """Whether a signal asked to stop. A second one ends at once, as it would have without."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self.before: dict[int, Handler] = {}
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Receive a signal."""
+        before = self.before[number]
+        if self.number and callable(before):
+            before(number, frame)
+        self.number = number
+
+    def asked(self, device: torch.device) -> bool:
+        """Whether any process was asked to stop: all of them hear of it after the same step."""
+        return average_values({"asked": float(self.number > 0)}, device)["asked"] > 0
+
+    def follow(self) -> None:
+        """End as the signal would have ended it.
+
+        Raises:
+            KeyboardInterrupt: After Ctrl-C, or where another process was asked to stop.
+            SystemExit: After SIGTERM, where the command line ends by it.
+        """
+        before = self.before.get(self.number)
+        if self.number != signal.SIGINT and callable(before):
+            before(self.number, None)
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def stopping() -> Iterator[StopSignal]:
+    """Let Ctrl-C and SIGTERM wait for the end of a step; outside the main thread they stay as they are."""
+    stop = StopSignal()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if callable(signal.getsignal(number)):  # one that ends the process by itself is left alone
+            stop.before[number] = signal.signal(number, stop)
+    try:
+        yield stop
+    finally:
+        for received, before in stop.before.items():
+            signal.signal(received, before)
