@@ -9,8 +9,8 @@ from _plates_crops import SIDE, Crop, Sampler, cut, draw_board, tilted
 from _plates_rendering import cover, paste
 from _plates_scenes import Scene, upright
 
+from farfield.privacy.detectors import decode_plates, predict_plate_maps
 from farfield.privacy.plate_network import STRIDE, PlateNetwork
-from farfield.privacy.plates import decoded, looks
 
 BATCH, RATE = 16, 2e-3
 _MINED_SCORE, _MINED_MOST = 0.15, 1500
@@ -67,9 +67,9 @@ def mined(network: PlateNetwork, sampler: Sampler, number: int) -> list[Crop]:
             if np.isfinite(flat).all():
                 paste(image, board, flat, 1.0, rng)
         hidden = np.array([upright(place.quad(0.6, 0.25)) for place in scene.hidden]).reshape(-1, 4)
-        for halving, maps in enumerate(looks(network, image)):
+        for halving, maps in enumerate(predict_plate_maps(network, image)):
             scale = 0.5**halving
-            for box in decoded(maps, _MINED_SCORE).box_px[:8] / scale:
+            for box in decode_plates(maps, _MINED_SCORE).box_px[:8] / scale:
                 centre = (box[:2] + box[2:]) / 2 + rng.uniform(-24, 24, 2) / scale
                 crop, low = cut(image, centre, scale)
                 found.append(Crop(crop, ignored=(hidden - np.tile(low, 2)) * scale))

@@ -20,9 +20,9 @@ from _report import SHARED_REAL, header, progress
 from PIL import Image, ImageFilter
 
 from farfield.files.atomic import write_text
-from farfield.privacy.covering import mask_of
-from farfield.privacy.faces import FaceDetector
-from farfield.privacy.hits import ImageBoxes, covered_share
+from farfield.privacy.covering import box_mask
+from farfield.privacy.detectors import FaceDetector
+from farfield.privacy.image_boxes import ImageBoxes, covered_share
 from farfield.simulation import simulate_sequence
 
 STRONG, HIT, BOARDS = 0.3, 0.9, 6
@@ -54,7 +54,7 @@ def missed_and_false(
 ) -> tuple[list[bool], int]:
     """Whether each face is covered, and how many pixels are covered for nothing."""
     height, width = picture.shape[:2]
-    mask, allowed = mask_of(hits, width, height), np.zeros((height, width), dtype=bool)
+    mask, allowed = box_mask(hits, width, height), np.zeros((height, width), dtype=bool)
     for left, top, right, bottom in np.concatenate([faces, ignored]):
         across, down = (right - left) / 2, (bottom - top) / 2
         allowed[max(0, int(top - down)) : int(bottom + down), max(0, int(left - across)) : int(right + across)] = True

@@ -29,11 +29,11 @@ from PIL import Image
 
 from farfield.files.atomic import write_text
 from farfield.files.images import read_image
-from farfield.privacy.context import in_context, vehicles_px
-from farfield.privacy.covering import mask_of
-from farfield.privacy.hits import ImageBoxes, covered_share
+from farfield.privacy.covering import box_mask
+from farfield.privacy.detectors import PLATE_THRESHOLD, PlateDetector
+from farfield.privacy.frames import drop_plates_off_vehicles, project_vehicles
+from farfield.privacy.image_boxes import ImageBoxes, covered_share
 from farfield.privacy.plate_network import load_network, save_network
-from farfield.privacy.plates import THRESHOLD, PlateDetector
 
 TRAINED = {"seed": 9100, "sizes": ("us",), "lights": ("day", "night", "rain", "day")}
 CALIBRATED = {"seed": 8200, "sizes": ("kitti",)}
@@ -92,7 +92,7 @@ class Tally:
     def add(self, image: np.ndarray, hits: ImageBoxes, plates: np.ndarray, ignored: np.ndarray) -> list[bool]:
         """Count a picture; which of its plates are covered."""
         height, width = image.shape[:2]
-        mask, allowed = mask_of(hits, width, height), np.zeros((height, width), dtype=bool)
+        mask, allowed = box_mask(hits, width, height), np.zeros((height, width), dtype=bool)
         for left, top, right, bottom in np.concatenate([plates, ignored]):
             across, down = (right - left) / 2, (bottom - top) / 2
             rows, columns = (top - down, bottom + down), (left - across, right + across)
@@ -169,12 +169,15 @@ def calibrated(scenes: list[Scene], pictures: int, real: Path, weights: Path) ->
         sizes = f"{drawn[score].share(20):>14} {drawn[score].share(12, 20):>14}"
         lines.append(f"{score:5.2f} {sizes} {one:>13.3%} {other:>12.3%}")
     network = load_network(weights)[0]
-    shift = np.log(THRESHOLD / (1 - THRESHOLD)) - np.log(chosen / (1 - chosen))
+    shift = np.log(PLATE_THRESHOLD / (1 - PLATE_THRESHOLD)) - np.log(chosen / (1 - chosen))
     with torch.no_grad():
         network.head[1].bias[0] += shift
     save_network(weights, network)
     counts = f"{pictures} rendered pictures, {len(list(plate_free(real)))} real ones outside of vehicles"
-    return [f"{counts}: a score of {chosen} is the least with at most {MOST_FALSE:.0%} false; now {THRESHOLD}", *lines]
+    return [
+        f"{counts}: a score of {chosen} is the least with at most {MOST_FALSE:.0%} false; now {PLATE_THRESHOLD}",
+        *lines,
+    ]
 
 
 def on_scenes(scenes: list[Scene], pictures: int, weights: Path) -> list[str]:
@@ -186,10 +189,10 @@ def on_scenes(scenes: list[Scene], pictures: int, weights: Path) -> list[str]:
         began = time.process_time()
         hits = detector(image)
         clock, seen = clock + time.process_time() - began, seen + image.shape[0] * image.shape[1]
-        where = vehicles_px(scene.boxes, scene.camera)
+        where = project_vehicles(scene.boxes, scene.camera)
         ways = {
-            "": hits[hits.score >= THRESHOLD],
-            ", context": in_context(hits, where, THRESHOLD),
+            "": hits[hits.score >= PLATE_THRESHOLD],
+            ", context": drop_plates_off_vehicles(hits, where, PLATE_THRESHOLD),
             ", weak too": hits,
         }
         for words, kept in ways.items():
@@ -228,7 +231,7 @@ def on_real(folder: Path, weights: Path) -> list[str]:
     for name, picture, plates, ignored in annotated(folder):
         hits = detector(picture)
         before = strong.false
-        found = strong.add(picture, hits[hits.score >= THRESHOLD], plates, ignored)
+        found = strong.add(picture, hits[hits.score >= PLATE_THRESHOLD], plates, ignored)
         weak.add(picture, hits, plates, ignored)
         share = (strong.false - before) / (picture.shape[0] * picture.shape[1])
         missed = [
@@ -238,7 +241,10 @@ def on_real(folder: Path, weights: Path) -> list[str]:
         lines.append(f"{name:20} {sum(found):2}/{len(found):2}  false {share:.3%}  {words}")
     totals = [
         f"{sum(tally.covered)} of {len(tally.covered)} plates, {tally.false / tally.pixels:.3%} false {words}"
-        for tally, words in ((strong, f"from {THRESHOLD} on"), (weak, f"from {WEAK} on, where only a track decides"))
+        for tally, words in (
+            (strong, f"from {PLATE_THRESHOLD} on"),
+            (weak, f"from {WEAK} on, where only a track decides"),
+        )
     ]
     return ["free pictures (width x height of what is missed)", *lines, *totals]
 

@@ -36,7 +36,7 @@ HEAVY = (
 TORCH = {"torch", "lightning_fabric", "safetensors"}
 TORCH_ROOMS = {"detectors", "training", "adaptation", "testing"}
 TORCH_FILES = {
-    "privacy/plates.py",
+    "privacy/detectors.py",
     "privacy/plate_network.py",
 }  # loaded when asked for
 NESTED: dict[str, str] = {}

@@ -29,7 +29,6 @@ MOST = {
     "inspection": 2,
     "metrics": 35,
     "papers": 222,
-    "privacy": 59,
     "registry.py": 3,
     "studio": 1,
     "training": 55,

@@ -21,11 +21,11 @@ from farfield.files.images import read_image
 from farfield.frame import Frame
 from farfield.jobs import JobOptions
 from farfield.privacy import Anonymized, AnonymizeOptions, anonymise
-from farfield.privacy.covering import mask_of
-from farfield.privacy.faces import FaceDetector
-from farfield.privacy.hits import ImageBoxes, covered_share
-from farfield.privacy.looking import left_of
-from farfield.privacy.sources import pairs_of, side_by_side_of, sources_of
+from farfield.privacy.anonymising import uncovered_rows
+from farfield.privacy.covering import box_mask
+from farfield.privacy.detectors import FaceDetector
+from farfield.privacy.image_boxes import ImageBoxes, covered_share
+from farfield.privacy.sources import find_side_by_side, find_sources, find_stereo_pairs
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -37,10 +37,10 @@ def shares(done, boxes) -> list[float]:
     """Share of each picture's true face that is covered."""
     found = []
     for each, box in zip(done, boxes, strict=True):
-        hits = ImageBoxes.of(
+        hits = ImageBoxes.of_kind(
             "face", np.array([row["box_px"] for row in each.rows]).reshape(-1, 4), np.ones(len(each.rows))
         )
-        found.append(covered_share(mask_of(hits, *each.size_px), np.array(box, float)))
+        found.append(covered_share(box_mask(hits, *each.size_px), np.array(box, float)))
     return found
 
 
@@ -49,7 +49,7 @@ def test_a_face_is_found_at_several_sizes_and_in_this_order_of_colours() -> None
         image, box = portrait(size)
         hits = FaceDetector()(image)
         best = hits[:1]
-        assert covered_share(mask_of(best, image.shape[1], image.shape[0]), box) >= 0.9, size
+        assert covered_share(box_mask(best, image.shape[1], image.shape[0]), box) >= 0.9, size
         assert best.score[0] > 0.5
     grey = np.full((100, 140, 3), 120, dtype=np.uint8)
     assert not len(FaceDetector()(grey))
@@ -59,17 +59,17 @@ def test_a_face_that_is_hidden_in_one_picture_stays_covered(tmp_path: Path) -> N
     """In picture HIDDEN the detector sees nothing; alone it would stay uncovered."""
     boxes = walk(tmp_path / "in")
     before = digests(tmp_path / "in")
-    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out", AnonymizeOptions(plates=False))
+    done = anonymise(find_sources(tmp_path / "in"), tmp_path / "out", AnonymizeOptions(plates=False))
     assert min(shares(done, boxes)) >= EVERY_BOX
     assert {row["how"] for row in done[HIDDEN].rows} == {"bridged"}
-    alone = anonymise(sources_of(tmp_path / "in"), tmp_path / "alone", AnonymizeOptions(plates=False, together=False))
+    alone = anonymise(find_sources(tmp_path / "in"), tmp_path / "alone", AnonymizeOptions(plates=False, together=False))
     assert shares(alone, boxes)[HIDDEN] == 0
     assert digests(tmp_path / "in") == before  # originals are as they were
 
 
 def test_two_workers_and_a_second_call_leave_the_same_bytes(tmp_path: Path) -> None:
     walk(tmp_path / "in")
-    sources = sources_of(tmp_path / "in")
+    sources = find_sources(tmp_path / "in")
     anonymise(sources, tmp_path / "one")
     anonymise(sources, tmp_path / "two", find=JobOptions(workers=2), cover=JobOptions(workers=2))
     whole = digests(tmp_path / "one")
@@ -95,7 +95,7 @@ def test_nothing_of_the_original_is_left_beside_the_picture(tmp_path: Path) -> N
     stored.save(
         tmp_path / "in" / "b.jpg", format="MPO", save_all=True, append_images=[thumbnail], exif=exif, quality=95
     )
-    anonymise(sources_of(tmp_path / "in"), tmp_path / "out", AnonymizeOptions(plates=False, together=False))
+    anonymise(find_sources(tmp_path / "in"), tmp_path / "out", AnonymizeOptions(plates=False, together=False))
     for name in ("a.jpg", "b.jpg"):
         data = (tmp_path / "out" / name).read_bytes()
         with Image.open(tmp_path / "out" / name) as covered:
@@ -122,9 +122,9 @@ def test_what_one_eye_sees_is_covered_in_the_other(tmp_path: Path) -> None:
     pale = (np.roll(image, -9, axis=1) * 0.015 + 120).astype(np.uint8)
     assert not len(FaceDetector(least_score=0.3)(pale))
     written(tmp_path / "in" / "image_03" / "0.png", pale)
-    sources = sources_of(tmp_path / "in")
+    sources = find_sources(tmp_path / "in")
     strict = AnonymizeOptions(plates=False, together=False)
-    done = anonymise(sources, tmp_path / "out", strict, pairs=pairs_of(sources.folders))
+    done = anonymise(sources, tmp_path / "out", strict, pairs=find_stereo_pairs(sources.folders))
     assert [each.file for each in done] == ["image_02/0.png", "image_03/0.png"]
     assert shares(done, [box, box - [9, 0, 9, 0]]) == [1.0, 1.0]
     assert [row["how"] for each in done for row in each.rows] == ["found", "partner"]
@@ -138,9 +138,9 @@ def test_what_one_half_of_a_picture_of_both_eyes_shows_is_covered_in_the_other(t
     written(tmp_path / "in" / "cam-front" / "0.png", np.concatenate([image, pale], axis=1))
     written(tmp_path / "in" / "cam-rear" / "0.png", np.concatenate([pale, image], axis=1))
     written(tmp_path / "in" / "other" / "0.png", np.concatenate([image, pale], axis=1))
-    sources = sources_of(tmp_path / "in")
+    sources = find_sources(tmp_path / "in")
     chosen = AnonymizeOptions(plates=False, together=False, least_score=0.3)
-    done = anonymise(sources, tmp_path / "out", chosen, both=side_by_side_of(sources.folders))
+    done = anonymise(sources, tmp_path / "out", chosen, both=find_side_by_side(sources.folders))
     faint = box - [9, 0, 9, 0]
     assert shares(done, [box, box + shift, box]) == [1.0, 1.0, 1.0]
     assert shares(done, [faint + shift, faint, faint + shift]) == [1.0, 1.0, 0.0]
@@ -149,7 +149,7 @@ def test_what_one_half_of_a_picture_of_both_eyes_shows_is_covered_in_the_other(t
 
 def test_a_folder_within_the_source_and_damaged_pictures_are_refused(tmp_path: Path) -> None:
     walk(tmp_path / "in")
-    sources = sources_of(tmp_path / "in")
+    sources = find_sources(tmp_path / "in")
     for out in (tmp_path / "in", tmp_path / "in" / "out"):
         with pytest.raises(ConfigError, match="nor below it"):
             anonymise(sources, out)
@@ -161,16 +161,16 @@ def test_a_folder_within_the_source_and_damaged_pictures_are_refused(tmp_path: P
 
 def test_weak_boxes_that_stay_seen_are_named() -> None:
     """Two weak boxes: the one that lies under a cover is hidden, the other is left; the strongest first."""
-    seen = ImageBoxes.of(
+    seen = ImageBoxes.of_kind(
         "face", np.array([[0, 0, 10, 10], [50, 50, 60, 60], [80, 0, 90, 10.0]]), np.array([0.2, 0.15, 0.25])
     )
-    under = ImageBoxes.of("plate", np.array([[-5.0, -5, 30, 30]]), np.array([0.9]))
-    assert [(row["box_px"], row["score"]) for row in left_of(seen, under)] == [
+    under = ImageBoxes.of_kind("plate", np.array([[-5.0, -5, 30, 30]]), np.array([0.9]))
+    assert [(row["box_px"], row["score"]) for row in uncovered_rows(seen, under)] == [
         ([80, 0, 90, 10], 0.25),
         ([50, 50, 60, 60], 0.15),
     ]
-    assert left_of(seen, seen) == ()
-    assert len(left_of(seen, ImageBoxes())) == 3
+    assert uncovered_rows(seen, seen) == ()
+    assert len(uncovered_rows(seen, ImageBoxes())) == 3
 
 
 def test_a_data_sets_images_are_covered_as_they_are_read() -> None:

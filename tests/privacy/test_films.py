@@ -19,9 +19,9 @@ from PIL import Image
 from farfield.cli import main
 from farfield.files.videos import film_frames, read_film
 from farfield.jobs import JobOptions
-from farfield.privacy import AnonymizeOptions, anonymise, films
-from farfield.privacy.hits import covered_share
-from farfield.privacy.sources import sources_of
+from farfield.privacy import AnonymizeOptions, anonymise, anonymising
+from farfield.privacy.image_boxes import covered_share
+from farfield.privacy.sources import find_sources
 
 FACES = AnonymizeOptions(plates=False)
 STAMPS = [0, 100, 210, 300, 390, 500, 600, 705]  # milliseconds: frames do not come evenly
@@ -62,7 +62,7 @@ def digest(path: Path) -> str:
 def test_stamps_stay_and_all_else_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = filmed(tmp_path / "in")
     before = digest(tmp_path / "in" / "walk.mp4")
-    done = anonymise(sources_of(tmp_path / "in"), tmp_path / "out", FACES)
+    done = anonymise(find_sources(tmp_path / "in"), tmp_path / "out", FACES)
     own, covered = (read_film(tmp_path / name / "walk.mp4") for name in ("in", "out"))
     np.testing.assert_allclose(covered.times_s, own.times_s, atol=1e-9)
     with av.open(str(tmp_path / "out" / "walk.mp4")) as container:
@@ -90,11 +90,11 @@ def test_segments_and_workers_make_no_difference_to_what_is_shown(
 ) -> None:
     """In segments of three frames by two workers: the same stamps and boxes, and the same bytes at every call."""
     filmed(tmp_path / "in")
-    whole = anonymise(sources_of(tmp_path / "in"), tmp_path / "whole")
-    monkeypatch.setattr(films, "SEGMENT", 3)
+    whole = anonymise(find_sources(tmp_path / "in"), tmp_path / "whole")
+    monkeypatch.setattr(anonymising, "SEGMENT_FRAMES", 3)
     for name, workers in (("one", 1), ("two", 2)):
         bulk = JobOptions(workers=workers)
-        done = anonymise(sources_of(tmp_path / "in"), tmp_path / name, find=bulk, cover=bulk)
+        done = anonymise(find_sources(tmp_path / "in"), tmp_path / name, find=bulk, cover=bulk)
         assert [each.rows for each in done] == [each.rows for each in whole]
     assert digest(tmp_path / "one" / "walk.mp4") == digest(tmp_path / "two" / "walk.mp4")
     stamps = [read_film(tmp_path / name / "walk.mp4").times_s for name in ("whole", "one")]
@@ -102,7 +102,7 @@ def test_segments_and_workers_make_no_difference_to_what_is_shown(
     parts = [np.stack(list(film_frames(read_film(tmp_path / name / "walk.mp4")))) for name in ("whole", "one")]
     assert np.abs(parts[0].astype(int) - parts[1]).mean() < 2
     before = (tmp_path / "one" / "walk.mp4").stat().st_mtime_ns
-    anonymise(sources_of(tmp_path / "in"), tmp_path / "one")
+    anonymise(find_sources(tmp_path / "in"), tmp_path / "one")
     assert (tmp_path / "one" / "walk.mp4").stat().st_mtime_ns == before  # nothing is encoded anew
     assert not (tmp_path / "one" / ".unfinished-films").exists()
 

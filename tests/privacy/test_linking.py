@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from farfield.privacy.hits import ImageBoxes
-from farfield.privacy.linking import HOWS, LinkSettings, linked
+from farfield.privacy.image_boxes import ImageBoxes
+from farfield.privacy.linking import ORIGINS, LinkSettings, link_boxes
 
 TIMES = np.arange(20) / 10
 
@@ -12,61 +12,63 @@ TIMES = np.arange(20) / 10
 def walking(place: int, score: float = 0.8, kind: str = "face") -> ImageBoxes:
     """A face that walks 4 pixels to the right a picture."""
     left = 100.0 + 4 * place
-    return ImageBoxes.of(kind, np.array([[left, 50.0, left + 20, 75.0]]), np.array([score]))
+    return ImageBoxes.of_kind(kind, np.array([[left, 50.0, left + 20, 75.0]]), np.array([score]))
 
 
 def test_gaps_are_bridged_on_the_way_and_ends_are_prolonged():
     seen = [4, 5, 6, 7, 11, 12]
-    covers = linked([walking(place) if place in seen else ImageBoxes() for place in range(20)], TIMES)
-    hows = {place: HOWS[int(cover.how[0])] for place, cover in enumerate(covers) if len(cover.hits)}
+    covers = link_boxes([walking(place) if place in seen else ImageBoxes() for place in range(20)], TIMES)
+    hows = {place: ORIGINS[int(cover.origin[0])] for place, cover in enumerate(covers) if len(cover.boxes)}
     assert [place for place, how in hows.items() if how == "found"] == seen
     assert [place for place, how in hows.items() if how == "bridged"] == [8, 9, 10]
     assert [place for place, how in hows.items() if how == "extended"] == [1, 2, 3, 13, 14, 15]
     for place in hows:
-        box = covers[place].hits.box_px[0]
+        box = covers[place].boxes.box_px[0]
         truth = walking(place).box_px[0]
         np.testing.assert_allclose((box[:2] + box[2:]) / 2, (truth[:2] + truth[2:]) / 2, atol=1e-9)
-    np.testing.assert_allclose(np.ptp(covers[15].hits.box_px[0][[0, 2]]), 20 * 1.15)
+    np.testing.assert_allclose(np.ptp(covers[15].boxes.box_px[0][[0, 2]]), 20 * 1.15)
     assert len({int(track) for cover in covers for track in cover.track}) == 1
 
 
 def test_a_pause_of_more_than_a_second_ends_a_track():
-    covers = linked([walking(place) if place in (2, 14) else ImageBoxes() for place in range(20)], TIMES)
-    assert [place for place, cover in enumerate(covers) if len(cover.hits)] == [0, 1, 2, 3, 4, 5, *range(11, 18)]
+    covers = link_boxes([walking(place) if place in (2, 14) else ImageBoxes() for place in range(20)], TIMES)
+    assert [place for place, cover in enumerate(covers) if len(cover.boxes)] == [0, 1, 2, 3, 4, 5, *range(11, 18)]
     assert len({int(track) for cover in covers for track in cover.track}) == 2
 
 
 def test_weak_boxes_count_on_a_track_with_a_strong_one_only():
     weak = [walking(place, 0.15) for place in range(20)]
-    assert all(not len(cover.hits) for cover in linked(weak, TIMES))
+    assert all(not len(cover.boxes) for cover in link_boxes(weak, TIMES))
     strong_once = [walking(place, 0.5 if place == 10 else 0.15) for place in range(20)]
-    assert all(len(cover.hits) == 1 for cover in linked(strong_once, TIMES))
+    assert all(len(cover.boxes) == 1 for cover in link_boxes(strong_once, TIMES))
 
 
 def test_two_that_cross_and_kinds_stay_apart():
     found = []
     for place in range(20):
-        other = ImageBoxes.of("plate", walking(place).box_px, np.array([0.9]))
-        found.append(ImageBoxes.joined([walking(place), other]))
-    covers = linked(found, TIMES)
+        other = ImageBoxes.of_kind("plate", walking(place).box_px, np.array([0.9]))
+        found.append(ImageBoxes.concatenate([walking(place), other]))
+    covers = link_boxes(found, TIMES)
     for cover in covers:
-        assert sorted(cover.hits.kind) == ["face", "plate"]
+        assert sorted(cover.boxes.kind) == ["face", "plate"]
     tracks = {
-        (str(kind), int(track)) for cover in covers for kind, track in zip(cover.hits.kind, cover.track, strict=True)
+        (str(kind), int(track)) for cover in covers for kind, track in zip(cover.boxes.kind, cover.track, strict=True)
     }
     assert len(tracks) == 2
 
 
 def test_one_picture_alone_has_its_strong_boxes():
-    found = ImageBoxes.joined([walking(0, 0.31), walking(30, 0.29)])
-    (cover,) = linked([found], np.zeros(1))
-    assert cover.hits.score.tolist() == [0.31]
-    assert linked([], np.zeros(0)) == []
+    found = ImageBoxes.concatenate([walking(0, 0.31), walking(30, 0.29)])
+    (cover,) = link_boxes([found], np.zeros(1))
+    assert cover.boxes.score.tolist() == [0.31]
+    assert link_boxes([], np.zeros(0)) == []
 
 
 def test_what_lies_outside_of_the_picture_is_dropped():
-    covers = linked([walking(place) for place in range(3)] + [ImageBoxes()] * 3, TIMES[:6], LinkSettings(extend_s=0.3))
+    covers = link_boxes(
+        [walking(place) for place in range(3)] + [ImageBoxes()] * 3, TIMES[:6], LinkSettings(extend_s=0.3)
+    )
     inside = covers[5].within(110, 100)
-    assert not len(inside.hits)
-    assert len(covers[0].within(110, 100).hits) == 1
-    assert covers[0].within(110, 100).hits.box_px[0, 2] == pytest.approx(110)
+    assert not len(inside.boxes)
+    assert len(covers[0].within(110, 100).boxes) == 1
+    assert covers[0].within(110, 100).boxes.box_px[0, 2] == pytest.approx(110)

@@ -10,11 +10,11 @@ torch = pytest.importorskip("torch")
 safetensors = pytest.importorskip("safetensors.torch")
 
 from farfield.errors import FarfieldError, FileFormatError
-from farfield.privacy import AnonymizeOptions, plates
-from farfield.privacy.covering import covered, mask_of
-from farfield.privacy.hits import ImageBoxes, covered_share
+from farfield.privacy import AnonymizeOptions, detectors
+from farfield.privacy.covering import box_mask, cover_boxes
+from farfield.privacy.detectors import PlateDetector, decode_plates, merge_overlapping
+from farfield.privacy.image_boxes import ImageBoxes, covered_share
 from farfield.privacy.plate_network import MAX_BYTES, PlateNetwork, load_network, save_network
-from farfield.privacy.plates import PlateDetector, decoded, gathered
 
 
 def maps_with(rows: int, columns: int, *cells: tuple[int, int, float]) -> np.ndarray:
@@ -26,18 +26,18 @@ def maps_with(rows: int, columns: int, *cells: tuple[int, int, float]) -> np.nda
 
 
 def test_a_cell_becomes_a_box() -> None:
-    hits = decoded(maps_with(10, 12, (3, 5, 0.9), (8, 1, 0.2)), 0.3)
+    hits = decode_plates(maps_with(10, 12, (3, 5, 0.9), (8, 1, 0.2)), 0.3)
     np.testing.assert_allclose(hits.box_px, [[21 - 8, 14 - 4, 21 + 8, 14 + 4]])
     assert hits.score.tolist() == [0.9]
     assert hits.kind.tolist() == ["plate"]
 
 
 def test_only_the_best_of_neighbouring_cells_counts_and_wild_sizes_are_cut() -> None:
-    assert decoded(maps_with(10, 12, (3, 5, 0.9), (3, 6, 0.8), (4, 5, 0.7)), 0.3).score.tolist() == [0.9]
+    assert decode_plates(maps_with(10, 12, (3, 5, 0.9), (3, 6, 0.8), (4, 5, 0.7)), 0.3).score.tolist() == [0.9]
     wild = maps_with(10, 12, (3, 5, 0.9))
     wild[1:] = 1e6
-    assert np.isfinite(decoded(wild, 0.3).box_px).all()
-    assert np.ptp(decoded(wild, 0.3).box_px[0, [0, 2]]) <= 256
+    assert np.isfinite(decode_plates(wild, 0.3).box_px).all()
+    assert np.ptp(decode_plates(wild, 0.3).box_px[0, [0, 2]]) <= 256
 
 
 class Firing:
@@ -56,9 +56,9 @@ class Firing:
 
 @pytest.mark.parametrize(("widths", "side"), [((256,), 16), ((128,), 32), ((64,), 64)])
 def test_a_hit_in_a_smaller_picture_is_drawn_large(monkeypatch, widths, side) -> None:
-    monkeypatch.setattr(plates, "_network", lambda _: (Firing(*widths), "digest"))
+    monkeypatch.setattr(detectors, "_load_plate_network", lambda _: (Firing(*widths), "digest"))
     hits = PlateDetector()(np.zeros((250, 250, 3), dtype=np.uint8))  # padded to 256
-    grown = max(side * plates.GROWTH, side + 2 * plates.LEAST_MARGIN_PX)
+    grown = max(side * detectors._PLATE_GROWTH, side + 2 * detectors._PLATE_MARGIN_PX)
     assert len(hits) == 1
     assert np.ptp(hits.box_px[0, [0, 2]]) == pytest.approx(grown)
     middle = (hits.box_px[0, :2] + hits.box_px[0, 2:]) / 2
@@ -67,20 +67,20 @@ def test_a_hit_in_a_smaller_picture_is_drawn_large(monkeypatch, widths, side) ->
 
 def test_a_plate_seen_at_two_sizes_is_one(monkeypatch) -> None:
     """A box of 16 x 8 and one of 32 x 16 pixels about it: the second is four times as large and stays alone."""
-    monkeypatch.setattr(plates, "_network", lambda _: (Firing(256, 128), "digest"))
+    monkeypatch.setattr(detectors, "_load_plate_network", lambda _: (Firing(256, 128), "digest"))
     assert len(PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8))) == 2
-    monkeypatch.setattr(plates, "_LARGER", 4.1)
-    monkeypatch.setattr(plates, "_INSIDE", 0.2)  # a quarter of the larger one lies in the smaller one
+    monkeypatch.setattr(detectors, "_LARGER", 4.1)
+    monkeypatch.setattr(detectors, "_INSIDE", 0.2)  # a quarter of the larger one lies in the smaller one
     (hit,) = PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8)).box_px
-    assert np.ptp(hit[[0, 2]]) == pytest.approx(32 * plates.GROWTH, abs=1)
+    assert np.ptp(hit[[0, 2]]) == pytest.approx(32 * detectors._PLATE_GROWTH, abs=1)
 
 
 def test_parts_of_a_plate_become_one_box_and_others_stay_apart() -> None:
     boxes = np.array([[0.0, 0, 40, 10], [25, 0, 60, 10], [36, 0, 76, 10], [0, 0, 90, 40], [200, 0, 240, 10]])
-    hits = gathered(ImageBoxes.of("plate", boxes, np.array([0.9, 0.2, 0.15, 0.3, 0.12])))
+    hits = merge_overlapping(ImageBoxes.of_kind("plate", boxes, np.array([0.9, 0.2, 0.15, 0.3, 0.12])))
     np.testing.assert_allclose(hits.box_px, [[0, 0, 60, 10], [0, 0, 90, 40], [200, 0, 240, 10]])
     np.testing.assert_allclose(hits.score, [0.9, 0.3, 0.12])
-    assert len(gathered(ImageBoxes())) == 0
+    assert len(merge_overlapping(ImageBoxes())) == 0
 
 
 def test_weights_come_back_in_half_precision(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_damaged_weights_are_refused(tmp_path: Path, damage: str) -> None:
 def test_missing_weights_are_said_in_words(tmp_path: Path, monkeypatch) -> None:
     with pytest.raises(FarfieldError, match=r"expected the plate network's weights"):
         PlateDetector(weights=tmp_path / "none.safetensors")
-    monkeypatch.setattr(plates, "_WEIGHTS", tmp_path / "none.safetensors")
+    monkeypatch.setattr(detectors, "_PLATE_WEIGHTS", tmp_path / "none.safetensors")
     assert "which this installation lacks" in AnonymizeOptions().without_plates()
     assert not AnonymizeOptions(plates=False).without_plates()
 
@@ -146,14 +146,14 @@ def font(size: int) -> ImageFont.FreeTypeFont:
 
 
 def test_the_shipped_network_finds_a_plate_at_several_sizes_and_none_on_grey() -> None:
-    assert not plates.available()
+    assert not detectors.why_no_plates()
     image, box = car_with_plate()
     for factor in (0.5, 1.0, 2.0, 3.0):
         size = (round(320 * factor), round(240 * factor))
         drawn = np.array(Image.fromarray(image).resize(size, Image.Resampling.BICUBIC))
         hits = PlateDetector()(drawn)
-        assert covered_share(mask_of(hits, *size), box * factor) >= 0.9, factor
-        assert mask_of(hits, *size).mean() < 0.06, factor
+        assert covered_share(box_mask(hits, *size), box * factor) >= 0.9, factor
+        assert box_mask(hits, *size).mean() < 0.06, factor
     assert not len(PlateDetector()(np.full((200, 300, 3), 120, dtype=np.uint8)))
 
 
@@ -174,14 +174,14 @@ def test_a_covered_plate_cannot_be_read_by_trying_strings(rng, how) -> None:
         drawn = Image.new("RGB", (140, 34), (236, 236, 230))
         ImageDraw.Draw(drawn).text((70, 17), word, fill=(16, 16, 20), font=font(24), anchor="mm")
         plates_drawn.append(np.array(drawn))
-    hits = ImageBoxes.of("plate", np.array([[0.0, 0.0, 140.0, 34.0]]), np.ones(1))
+    hits = ImageBoxes.of_kind("plate", np.array([[0.0, 0.0, 140.0, 34.0]]), np.ones(1))
     clear, rough = np.stack(plates_drawn).astype(float), (slice(None), slice(None, None, 8), slice(None, None, 7))
     before = after = 0
-    model = np.stack([covered(each, hits, how, np.random.default_rng(0)) for each in plates_drawn]).astype(float)
+    model = np.stack([cover_boxes(each, hits, how, np.random.default_rng(0)) for each in plates_drawn]).astype(float)
     for trial in range(TRIALS):
         truth = int(rng.integers(CANDIDATES))
         seen = (clear[truth] + rng.normal(0, 25.0, clear[truth].shape)).clip(0, 255).astype(np.uint8)
-        hidden = covered(seen, hits, how, np.random.default_rng([trial, 1])).astype(float)
+        hidden = cover_boxes(seen, hits, how, np.random.default_rng([trial, 1])).astype(float)
         before += reading(seen[None][rough][0].astype(float), clear[rough]) == truth
         after += reading(hidden[None][rough][0], model[rough]) == truth
     assert before / TRIALS >= 0.8

@@ -17,9 +17,9 @@ from _plates_training import loss_of, targets
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.privacy.hits import overlap
+from farfield.privacy.detectors import decode_plates, predict_plate_maps
+from farfield.privacy.image_boxes import pairwise_iou
 from farfield.privacy.plate_network import PlateNetwork
-from farfield.privacy.plates import decoded, looks
 
 
 def test_a_homography_draws_metres_as_pixels() -> None:
@@ -82,6 +82,6 @@ def test_the_network_learns_two_crops_by_heart(rng) -> None:
         told = network(images)
         told[:, 0] = told[:, 0].sigmoid()
     for crop, each in zip(crops, told.numpy().astype(float), strict=True):
-        best = decoded(each, 0.3)[:1]
-        assert overlap(best.box_px, crop.boxes)[0, 0] > 0.6
-    assert len(looks(network.eval(), crops[0].image)) == 3
+        best = decode_plates(each, 0.3)[:1]
+        assert pairwise_iou(best.box_px, crop.boxes)[0, 0] > 0.6
+    assert len(predict_plate_maps(network.eval(), crops[0].image)) == 3

@@ -52,13 +52,13 @@ def run(
     from farfield.errors import ConfigError
     from farfield.pages.privacy_page import write_privacy_page
     from farfield.privacy import AnonymizeOptions, anonymise, check_apart
-    from farfield.privacy.sources import PAIRS, SIDE_BY_SIDE, pairs_of, side_by_side_of, sources_of
+    from farfield.privacy.sources import PAIRS, SIDE_BY_SIDE, find_side_by_side, find_sources, find_stereo_pairs
 
     named = [tuple(pair.split(":")) for pair in stereo]
     if any(len(pair) != 2 for pair in named):
         raise ConfigError(f"--stereo: expected LEFT:RIGHT, the names of two folders; got {' '.join(stereo)}")
     eyes = (*((pair[0], pair[1]) for pair in named), *PAIRS)
-    sources = sources_of(path)
+    sources = find_sources(path)
     chosen = AnonymizeOptions(how=how, small_faces=small_faces, plates=plates, together=series == "time")
     if chosen.without_plates():
         print(f"Number plates stay as they are: {chosen.without_plates()}")
@@ -73,8 +73,8 @@ def run(
         sources,
         out,
         chosen,
-        pairs=pairs_of(sources.folders, eyes),
-        both=side_by_side_of(sources.folders, (*side_by_side, *SIDE_BY_SIDE)),
+        pairs=find_stereo_pairs(sources.folders, eyes),
+        both=find_side_by_side(sources.folders, (*side_by_side, *SIDE_BY_SIDE)),
         find=hands(workers, engine, "finding"),
         cover=hands(workers, engine, "covering"),
     )

@@ -13,7 +13,7 @@ from farfield.files.images import read_image
 from farfield.files.videos import film_frames, read_film
 from farfield.pages.template import PageImage, render_template
 from farfield.privacy import PictureSummary
-from farfield.privacy.hits import FACE
+from farfield.privacy.image_boxes import FACE
 
 _SHOWN, _SIDE_PX, _MARGIN = 40, 220, 2.0
 HEADS = ("folder", "pictures", "faces", "number plates", "doubtful", "weak, left as they are", "pixels covered")

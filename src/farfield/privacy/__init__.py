@@ -2,10 +2,9 @@
 
 from typing import TYPE_CHECKING
 
-from farfield.privacy.anonymising import anonymise, check_apart
-from farfield.privacy.hits import ImageBoxes
-from farfield.privacy.looking import AnonymizeOptions, PictureSummary
-from farfield.privacy.private import Anonymized
+from farfield.privacy.anonymising import AnonymizeOptions, PictureSummary, anonymise, check_apart
+from farfield.privacy.frames import Anonymized
+from farfield.privacy.image_boxes import ImageBoxes
 from farfield.registry import old_names
 
 __all__ = ["AnonymizeOptions", "Anonymized", "ImageBoxes", "PictureSummary", "anonymise", "check_apart"]

@@ -1,6 +1,6 @@
 """The network that finds number plates: points as objects (Zhou et al., 2019, arXiv 1904.07850), 0.3 M parameters.
 
-A stem at stride 2, levels at strides 4, 8 and 16, added again on the way up to stride 4, where each cell tells its
+A stem at stride 2, levels at strides 4, 8 and 16, added again on the way up to stride 4, where each cell holds the
 score, the logarithms of width and height in cells, and where in it the centre lies.
 """
 
@@ -19,6 +19,7 @@ from farfield.files.atomic import read_bytes, write_bytes
 STRIDE, SIDE = 4, 16
 MAX_BYTES = 1_000_000
 _RARE = -4.6  # logit of a plate in a cell before training: one in a hundred
+_COUNTER = "num_batches_tracked"  # of batch norms: not written
 _WIDTHS = (16, 24, 48, 64)
 
 
@@ -57,11 +58,10 @@ class PlateNetwork(nn.Module):
         self.coarse = nn.Sequential(_Layer(middle, coarse, stride=2), _Block(coarse), _Block(coarse))
         self.to_middle, self.to_fine = _Layer(coarse, middle, size=1), _Layer(middle, fine, size=1)
         self.mix_middle, self.mix_fine = _Layer(middle, middle), _Layer(fine, fine)
-        self.head = nn.Sequential(_Layer(fine, 32), nn.Conv2d(32, 5, 1))
-        last = self.head[1]
-        with torch.no_grad():
-            last.bias.zero_()
-            last.bias[0] = _RARE
+        hidden = _Layer(fine, 32)
+        output = nn.Conv2d(32, 5, 1)
+        output.bias = nn.Parameter(torch.tensor([_RARE, 0.0, 0.0, 0.0, 0.0]))
+        self.head = nn.Sequential(hidden, output)
 
     def forward(self, image: Tensor) -> Tensor:
         """See the class."""
@@ -84,8 +84,8 @@ def save_network(path: Path, network: PlateNetwork) -> None:
         path: A ``.safetensors`` file.
         network: The network.
     """
-    kept = {name: value for name, value in network.state_dict().items() if not name.endswith("num_batches_tracked")}
-    write_bytes(path, save({name: value.detach().half().contiguous() for name, value in kept.items()}))
+    tensors = {name: value.detach().half().contiguous() for name, value in network.state_dict().items()}
+    write_bytes(path, save({name: value for name, value in tensors.items() if not name.endswith(_COUNTER)}))
 
 
 def load_network(path: Path) -> tuple[PlateNetwork, str]:
@@ -101,12 +101,12 @@ def load_network(path: Path) -> tuple[PlateNetwork, str]:
         raise FileFormatError(path, where="header", expected="safetensors", found=str(error)) from error
     network = PlateNetwork()
     state = network.state_dict()
-    wanted = {name: tuple(each.shape) for name, each in state.items() if not name.endswith("num_batches_tracked")}
-    found = {name: tuple(each.shape) for name, each in tensors.items()}
-    if wanted != found:
-        odd = sorted(set(wanted.items()) ^ set(found.items()))[0]
-        raise FileFormatError(path, where=odd[0], expected=str(wanted.get(odd[0])), found=str(found.get(odd[0])))
-    if not all(bool(torch.isfinite(each).all()) for each in tensors.values()):
+    expected = {name: tuple(value.shape) for name, value in state.items() if not name.endswith(_COUNTER)}
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    if expected != shapes:
+        odd = sorted(set(expected.items()) ^ set(shapes.items()))[0][0]
+        raise FileFormatError(path, where=odd, expected=str(expected.get(odd)), found=str(shapes.get(odd)))
+    if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
         raise FileFormatError(path, where="tensors", expected="finite numbers", found="infinite ones or NaN")
-    network.load_state_dict({**state, **{name: each.float() for name, each in tensors.items()}})
+    network.load_state_dict({**state, **{name: tensor.float() for name, tensor in tensors.items()}})
     return network.eval(), hashlib.sha256(data).hexdigest()

@@ -1,4 +1,4 @@
-"""Which pictures of a folder are to be covered, and which of them follow one another."""
+"""Which pictures of a folder are to be covered, and which of them follow one another or are two eyes of a pair."""
 
 import itertools
 import os
@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.kradar.layout import CAMERAS
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.videos import VIDEOS
+from farfield.vocabulary.kradar import STEREO_CAMERAS
 
 PICTURES = (".jpg", ".jpeg", ".png")
 _NUMBER = re.compile(r"\d+")
@@ -27,7 +27,7 @@ PAIRS = (
 )
 """Names of folders that hold the two eyes of a pair, where the data sets name them so."""
 
-SIDE_BY_SIDE = CAMERAS
+SIDE_BY_SIDE = STEREO_CAMERAS
 """Names of folders whose pictures hold both eyes, the left one on the left: K-Radar's."""
 _TWO_EYES = 3.0  # a picture of two eyes is at least so many times as wide as high
 
@@ -69,7 +69,7 @@ class Sources:
     films: tuple[Path, ...]
 
 
-def sources_of(path: Path) -> Sources:
+def find_sources(path: Path) -> Sources:
     """The pictures and films below a folder, or a single one.
 
     Links are not followed, and neither are folders whose names begin with a dot.
@@ -78,73 +78,68 @@ def sources_of(path: Path) -> Sources:
         DatasetError: If there is none.
     """
     if path.is_file():
-        found = {path.parent: [Path(path.name)]}
-        root = path.parent
+        root, files_by_folder = path.parent, {path.parent: [Path(path.name)]}
     else:
-        found, root = dict(_below(path)), path
-    known = {folder: [file for file in files if file.suffix.lower() in PICTURES] for folder, files in found.items()}
-    films = tuple(file for files in found.values() for file in sorted(files) if file.suffix.lower() in VIDEOS)
-    folders = tuple(_series(root, files) for files in known.values() if files)
+        root, files_by_folder = path, dict(_walk(path))
+    pictures = [[file for file in files if file.suffix.lower() in PICTURES] for files in files_by_folder.values()]
+    films = tuple(file for files in files_by_folder.values() for file in sorted(files) if file.suffix.lower() in VIDEOS)
+    folders = tuple(_series(root, files) for files in pictures if files)
     if not folders and not films:
         raise DatasetError(f"{path}: expected pictures ({', '.join(PICTURES)}) or films there, found none")
     return Sources(root, folders, films)
 
 
-def _below(path: Path) -> Iterator[tuple[Path, list[Path]]]:
-    """Files of each folder, relative to the first, that are no links and not hidden."""
-    for here, below, names in os.walk(path):
-        below[:] = sorted(name for name in below if not name.startswith("."))
-        files = [Path(here, name) for name in names if not name.startswith(".")]
-        yield Path(here), [file.relative_to(path) for file in files if not file.is_symlink()]
+def _walk(root: Path) -> Iterator[tuple[Path, list[Path]]]:
+    """Files of each folder, relative to the root, that are no links and not hidden."""
+    for folder, subfolders, names in os.walk(root):
+        subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
+        files = [Path(folder, name) for name in names if not name.startswith(".")]
+        yield Path(folder), [file.relative_to(root) for file in files if not file.is_symlink()]
 
 
 def _series(root: Path, files: Sequence[Path]) -> Series:
-    ordered = sorted(files, key=_natural)
-    stamps = [_stamp_s(file) for file in ordered]
-    known = [stamp for stamp in stamps if stamp is not None]
-    if len(known) == len(stamps) and all(a < b for a, b in itertools.pairwise(known)):
-        return Series(root, tuple(ordered), np.array(known) - known[0], stamped=True)
+    ordered = sorted(files, key=_by_numbers)
+    names = [file.stem for file in ordered]
+    # A name of 16 to 19 digits is a stamp in nanoseconds.
+    stamps_s = [int(name) * _NS for name in names if name.isdigit() and len(name) in _STAMP_DIGITS]
+    if len(stamps_s) == len(names) and all(a < b for a, b in itertools.pairwise(stamps_s)):
+        return Series(root, tuple(ordered), np.array(stamps_s) - stamps_s[0], stamped=True)
     return Series(root, tuple(ordered), np.arange(len(ordered)) / NOMINAL_HZ, stamped=False)
 
 
-def _natural(file: Path) -> tuple[list[int], str]:
+def _by_numbers(file: Path) -> tuple[list[int], str]:
     """Order by the numbers of a name, then by the name: frame_9 before frame_10."""
     return [int(number) for number in _NUMBER.findall(file.stem)], file.name
 
 
-def _stamp_s(file: Path) -> float | None:
-    """A name of 16 to 19 digits is a stamp in nanoseconds."""
-    return int(file.stem) * _NS if file.stem.isdigit() and len(file.stem) in _STAMP_DIGITS else None
-
-
-def pairs_of(folders: Sequence[Series], named: Sequence[tuple[str, str]] = PAIRS) -> list[tuple[int, int]]:
+def find_stereo_pairs(folders: Sequence[Series], eye_names: Sequence[tuple[str, str]] = PAIRS) -> list[tuple[int, int]]:
     """Numbers of the series that are the two eyes of one pair: equal names in folders that are named so.
 
     Args:
         folders: All series.
-        named: Names of the two folders.
+        eye_names: Names of the two folders of each kind of pair.
 
     Raises:
         ConfigError: If a name is that of both eyes.
     """
-    if any(one == other for one, other in named):
+    if any(left == right for left, right in eye_names):
         raise ConfigError("stereo: expected the names of two different folders, LEFT:RIGHT")
-    place = {each.name: number for number, each in enumerate(folders)}
-    found = []
-    for one, other in named:
-        for name, number in place.items():
+    numbers = {series.name: number for number, series in enumerate(folders)}
+    pairs = []
+    for left, right in eye_names:
+        for name, number in numbers.items():
             parts = name.split("/")
-            if one in parts:
-                at = len(parts) - 1 - parts[::-1].index(one)
-                partner = place.get("/".join([*parts[:at], other, *parts[at + 1 :]]))
+            if left in parts:
+                last = len(parts) - 1 - parts[::-1].index(left)
+                partner = numbers.get("/".join([*parts[:last], right, *parts[last + 1 :]]))
                 if partner is not None:
-                    found.append((number, partner))
-    return found
+                    pairs.append((number, partner))
+    return pairs
 
 
-def side_by_side_of(folders: Sequence[Series], named: Sequence[str] = SIDE_BY_SIDE) -> list[int]:
+def find_side_by_side(folders: Sequence[Series], folder_names: Sequence[str] = SIDE_BY_SIDE) -> list[int]:
     """Numbers of the series whose pictures hold both eyes beside each other, by the names of their folders."""
-    return [number for number, each in enumerate(folders) if set(named) & set(each.name.split("/"))]
+    return [number for number, series in enumerate(folders) if set(folder_names) & set(series.name.split("/"))]
 
 
 def holds_two_eyes(width_px: int, height_px: int) -> bool:

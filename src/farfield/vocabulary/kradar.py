@@ -8,6 +8,9 @@ from farfield.vocabulary.conditions import condition_name
 OUSTER_LINES = {"os2-64": 64, "os1-128": 128}
 """Lines of each LiDAR."""
 
+STEREO_CAMERAS = ("cam-front", "cam-right", "cam-rear", "cam-left")
+"""Cameras, and folders of their pictures: each picture holds both eyes, the left one on the left."""
+
 Bounds = tuple[float, float, float, float, float, float]
 
 REGIONS_M: dict[str, Bounds] = {

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.radar.axes import KRADAR_ORIGIN_M
-from farfield.vocabulary.kradar import OUSTER_LINES
+from farfield.vocabulary.kradar import OUSTER_LINES, STEREO_CAMERAS
 
 LIDARS = OUSTER_LINES
 COLUMNS = 2048
-CAMERAS = ("cam-front", "cam-right", "cam-rear", "cam-left")
+CAMERAS = STEREO_CAMERAS
 IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 1280, 720  # of one eye
 RIGHT_EYE = "-right"  # image "cam-front" is the left eye, "cam-front-right" the right one
 INDEX_NAMES = ("radar", "os2-64", "cam-front", "os1-128", "cam-lrr")

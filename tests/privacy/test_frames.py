@@ -5,8 +5,8 @@ import pytest
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.privacy.context import in_context, vehicles_px
-from farfield.privacy.hits import ImageBoxes
+from farfield.privacy.frames import drop_plates_off_vehicles, project_vehicles
+from farfield.privacy.image_boxes import ImageBoxes
 
 CAMERA = Camera(matrix=np.array([[100.0, 0, 100], [0, 100, 50], [0, 0, 1]]), width_px=200, height_px=100)
 
@@ -23,20 +23,20 @@ def boxes(*rows: tuple[float, float, str]) -> Boxes:
 
 def test_a_vehicle_ahead_is_projected_and_grown() -> None:
     """The near face lies 10 m ahead: 2 m are 20 pixels, and 24 with a fifth more."""
-    found = vehicles_px(boxes((11, 0, "vehicle"), (11, 3, "pedestrian"), (-11, 0, "vehicle")), CAMERA)
+    found = project_vehicles(boxes((11, 0, "vehicle"), (11, 3, "pedestrian"), (-11, 0, "vehicle")), CAMERA)
     np.testing.assert_allclose(found, [[88, 38, 112, 62]])
 
 
 def test_a_vehicle_beside_the_camera_reaches_to_the_edge() -> None:
-    (left,) = vehicles_px(boxes((0.9, 1.2, "Car")), CAMERA)
-    (right,) = vehicles_px(boxes((0.9, -1.2, "Car")), CAMERA)
+    (left,) = project_vehicles(boxes((0.9, 1.2, "Car")), CAMERA)
+    (right,) = project_vehicles(boxes((0.9, -1.2, "Car")), CAMERA)
     assert (left[0], left[1], left[3]) == (0, 0, 100)
     assert (right[2], right[1], right[3]) == (200, 0, 100)
     assert left[2] < 100 < right[0]
 
 
 def test_nothing_there() -> None:
-    assert vehicles_px(Boxes.empty(), CAMERA).shape == (0, 4)
+    assert project_vehicles(Boxes.empty(), CAMERA).shape == (0, 4)
 
 
 @pytest.mark.parametrize(
@@ -49,6 +49,6 @@ def test_nothing_there() -> None:
     ],
 )
 def test_weak_plates_stay_within_vehicles_only(kind, score, left, stays) -> None:
-    hits = ImageBoxes.of(kind, np.array([[left, 45.0, left + 8, 49]]), np.array([score]))
-    kept = in_context(hits, vehicles_px(boxes((11, 0, "vehicle")), CAMERA), 0.3)
+    hits = ImageBoxes.of_kind(kind, np.array([[left, 45.0, left + 8, 49]]), np.array([score]))
+    kept = drop_plates_off_vehicles(hits, project_vehicles(boxes((11, 0, "vehicle")), CAMERA), 0.3)
     assert len(kept) == stays
