@@ -17,7 +17,7 @@ from farfield.datasets import open_dataset
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, DatasetError
-from farfield.experiments.plan import part_of
+from farfield.experiments.frames import part_of
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.method import METHODS, Batch, Method, Stream
 

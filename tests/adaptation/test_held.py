@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 
 from farfield.datasets import open_dataset
 from farfield.errors import ConfigError, DatasetError
-from farfield.experiments.plan import held_out
+from farfield.experiments.frames import held_out
 from farfield.training.checkpoints import load_checkpoint
 
 PATTERN = {"labelled": {"clouds": ["gaussian", "uniform"]}}

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from farfield.adaptation.adversarial import reverse
-from farfield.adaptation.failure_modes import signs_of
+from farfield.adaptation.failure_modes import diagnose_log
 from farfield.adaptation.probes import gradient_norms, gradient_ratio, probe_accuracy
 from farfield.detectors.features import FeatureMap, PointFeatures
 
@@ -87,7 +87,7 @@ def rows(**columns: list[float]) -> list[dict[str, float]]:
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_each_failure_is_named(columns: dict[str, list[float]], words: str) -> None:
-    (found,) = signs_of(rows(**columns))
+    (found,) = diagnose_log(rows(**columns))
     assert words in found
 
 
@@ -100,9 +100,9 @@ def test_a_healthy_log_and_an_empty_one_are_passed_over() -> None:
         pseudo_boxes=[4.0, 4, 5, 5, 5, 6, 6, 6],
         n_eff=[20.0] * 8,
     )
-    assert not list(signs_of(healthy))
-    assert not list(signs_of([]))
-    assert not list(signs_of(rows(loss=[1.0, 0.5])))
-    assert not list(signs_of(rows(pseudo_boxes=[3.0, 9.5, 10.5, 10])))  # few rows of batches of two frames say nothing
+    assert not list(diagnose_log(healthy))
+    assert not list(diagnose_log([]))
+    assert not list(diagnose_log(rows(loss=[1.0, 0.5])))
+    assert not list(diagnose_log(rows(pseudo_boxes=[3.0, 9.5, 10.5, 10])))  # too few rows to say
     noise = [1.0, 9, 0, 2] + [5.0] * 8 + [2.0, 14, 1, 12]
-    assert not list(signs_of(rows(pseudo_boxes=noise)))
+    assert not list(diagnose_log(rows(pseudo_boxes=noise)))

@@ -27,10 +27,11 @@ from farfield.datasets import Dataset, open_dataset
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError, FarfieldError
 from farfield.experiments.adapting import AdaptationOptions, AdaptationResult
-from farfield.experiments.adapting.options import CalibratedThresholds, spread
+from farfield.experiments.adapting.options import CalibratedThresholds
 from farfield.experiments.adapting.report import changes, edges_to, extents, most_changed
 from farfield.experiments.adapting.rounds import measured_step_s, rare_classes, steps_in, steps_wanted
 from farfield.experiments.adapting.source import TrainingHistory, learnt_by, simulation_of
+from farfield.experiments.frames import spread
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import Experiment, experiment_of
 from farfield.frame import Annotation, Boxes, Constant, Frame

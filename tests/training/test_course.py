@@ -19,7 +19,7 @@ from farfield.errors import ConfigError
 def test_printed_losses_are_means_over_the_last_steps(tmp_path):
     shown = io.StringIO()
     report = LineReport(Console(file=shown, width=200), tmp_path, every=4)
-    report.begins(0, 8)
+    report.on_train_start(0, 8)
     for step, loss in enumerate([8.0, 4.0, 2.0, 2.0, 1.0, 1.0, 1.0, 0.0], 1):
         report.step(step, {"loss": loss, "box": 2 * loss})
     first, middle, last = [line for line in shown.getvalue().splitlines() if line.startswith("step")]

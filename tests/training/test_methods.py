@@ -327,7 +327,7 @@ def test_one_change_moves_points_boxes_and_velocities_alike() -> None:
 class Slow(Players):
     """A player with a pace of its own, and figures for the log."""
 
-    def begins(self, steps: int, seed: int) -> None:
+    def on_train_start(self, steps: int, seed: int) -> None:
         self.course = (steps, seed)
 
     def step(self, batch: Any, step: int, optimise: Any) -> None:
@@ -337,7 +337,7 @@ class Slow(Players):
         found = super().losses(batch, step)
         return {**found, "player": 1e6 * self.modules["player"](torch.ones(1, 4)).square().sum()}
 
-    def paces(self) -> dict[str, ParamGroup]:
+    def param_groups(self) -> dict[str, ParamGroup]:
         return {"player": ParamGroup(rate=self.rate, clip=1.0)}
 
     def figures(self) -> dict[str, float]:

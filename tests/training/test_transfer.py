@@ -196,14 +196,14 @@ def test_rates_by_part_are_those_asked_for(experiment, tmp_path):
     assert sum(len(group["params"]) for group in groups) == len(parameters)
     assert all(p.ndim > 1 for group in groups if group["weight_decay"] for p in group["params"])
     seen = {}
-    before = Training._optimise
+    before = Training._minimise
 
-    def note(self, optimizer, losses, names):
-        seen[self.step] = {group["rate"]: group["lr"] for group in optimizer.param_groups}
-        before(self, optimizer, losses, names)
+    def note(self, losses, names):
+        seen[self.step] = {group["rate"]: group["lr"] for group in self._optimizer.param_groups}
+        before(self, losses, names)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Training, "_optimise", note)
+        patch.setattr(Training, "_minimise", note)
         Plan(settings, tmp_path / "run").run()
     for step in (0, 3, 11):  # the first, the end of the warm-up, the last
         for rate, used in seen[step].items():
@@ -243,16 +243,16 @@ def test_frozen_parts_keep_every_bit_until_they_thaw(experiment, tmp_path):
     """AdamW with decay, averaged weights and batch statistics: nothing of a frozen part moves."""
     words, theirs = frozen_run(experiment, tmp_path)
     seen = {}
-    before = Training._optimise
+    before = Training._minimise
 
-    def note(self, optimizer, losses, names):
-        before(self, optimizer, losses, names)
+    def note(self, losses, names):
+        before(self, losses, names)
         seen[self.step] = {k: v.clone() for k, v in self.modules["detector"].state_dict().items()}
-        seen["groups"] = {id(p) for group in optimizer.param_groups for p in group["params"]}
+        seen["groups"] = {id(p) for group in self._optimizer.param_groups for p in group["params"]}
         seen["encoder"] = {id(p) for p in self.modules["detector"].encoder.parameters()}
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Training, "_optimise", note)
+        patch.setattr(Training, "_minimise", note)
         weights = Plan(load_experiment(experiment, words), tmp_path / "run").run()
     averaged = load_weights(weights)[0].state_dict()
     assert parts_equal(averaged, theirs, "encoder")

@@ -50,7 +50,7 @@ class Stops(TrainingReport):
     def say(self, text: str) -> None:
         self.said.append(text)
 
-    def begins(self, step: int, steps: int) -> None:
+    def on_train_start(self, step: int, steps: int) -> None:
         self.begun_at = step
 
     def step(self, step: int, losses: dict[str, float]) -> None:

@@ -62,7 +62,7 @@ def test_it_is_scored_every_few_steps_and_the_best_weights_are_kept(experiment, 
 
 
 def test_weights_are_those_of_the_best_step_and_not_of_the_last(experiment, tmp_path, monkeypatch):
-    from farfield.training.validating import Validation
+    from farfield.experiments.validation import Validation
 
     scores = iter([0.1, 0.6, 0.3])
     monkeypatch.setattr(Validation, "score", lambda self, network: next(scores))
@@ -121,15 +121,15 @@ def test_a_stopped_run_goes_on_to_the_same_weights(experiment, tmp_path):
 
 
 def test_a_second_signal_ends_at_once():
-    from farfield.training.processes import stopping
+    from farfield.training.processes import stop_signals
 
-    with stopping() as stop:
+    with stop_signals() as stop:
         signal.raise_signal(signal.SIGINT)
         assert stop.number == signal.SIGINT
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     worked = []
-    thread = threading.Thread(target=lambda: worked.append(stopping().__enter__().number))
+    thread = threading.Thread(target=lambda: worked.append(stop_signals().__enter__().number))
     thread.start()
     thread.join()
     assert worked == [0], "outside the main thread signals stay as they are"

@@ -36,7 +36,7 @@ class Adversarial(MethodSettings):
     labels: Literal["domain", "coin"] = Field("domain", description="coin: the control, labels by a coin a frame")
 
     @property
-    def paces(self) -> dict[str, ParamGroup]:
+    def param_groups(self) -> dict[str, ParamGroup]:
         """How the module ``discriminator`` is trained."""
         return {"discriminator": ParamGroup(rate=self.rate, clip=self.clip)}
 

@@ -37,7 +37,7 @@ class Adaptation(Method):
         self.steps, self.seed = 0, 0
         self.noted: dict[str, Tensor | float] = {}
 
-    def begins(self, steps: int, seed: int) -> None:
+    def on_train_start(self, steps: int, seed: int) -> None:
         """Learn how long the training is and how its draws are seeded."""
         self.steps, self.seed = steps, seed
 
@@ -48,7 +48,7 @@ class Adaptation(Method):
             ConfigError: If the training has not said how long it is.
         """
         if self.steps < 1:
-            raise ConfigError("Expected begins(steps, seed) before the first step; got no number of steps.")
+            raise ConfigError("Expected on_train_start(steps, seed) before the first step; got no number of steps.")
         return step / self.steps
 
     def generator(self, step: int, *, shared: bool = False) -> np.random.Generator:

@@ -69,9 +69,9 @@ class DeviceAdaptation(Adaptation):
         if self.settings.adversarial is not None:
             self.modules["discriminator"] = discriminator(network, self.settings.adversarial.form)
 
-    def paces(self) -> Mapping[str, ParamGroup]:
+    def param_groups(self) -> Mapping[str, ParamGroup]:
         """The discriminator learns at its own rate."""
-        return {} if self.settings.adversarial is None else self.settings.adversarial.paces
+        return {} if self.settings.adversarial is None else self.settings.adversarial.param_groups
 
     def exported(self) -> Mapping[str, str]:
         """The target's detector, and the source's beside it."""

@@ -19,13 +19,13 @@ _SWING = 0.35
 _TOO_FEW, _TOO_MANY = 0.5, 2.0  # pseudo boxes over those at the beginning
 
 
-def signs_of(rows: Sequence[Row]) -> Iterator[str]:
+def diagnose_log(rows: Sequence[Row]) -> Iterator[str]:
     """What goes wrong, one sentence each, with what to do.
 
     Args:
         rows: Of a ``log.jsonl``, in their order; columns that a method does not log are passed over.
 
-    >>> list(signs_of([{"step": step, "discriminator_accuracy": 0.99} for step in range(0, 100, 10)]))[0][:31]
+    >>> list(diagnose_log([{"step": step, "discriminator_accuracy": 0.99} for step in range(0, 100, 10)]))[0][:31]
     'the discriminator is always rig'
     """
     yield from _of_discriminator(rows)

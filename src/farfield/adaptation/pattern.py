@@ -84,9 +84,9 @@ class PatternAdaptation(Adaptation):
         if self.settings.loss == "unpaired":
             self.modules["discriminator"] = discriminator(network, self.settings.unpaired.form)
 
-    def paces(self) -> Mapping[str, ParamGroup]:
+    def param_groups(self) -> Mapping[str, ParamGroup]:
         """The discriminator learns at its own rate."""
-        return self.settings.unpaired.paces if self.settings.loss == "unpaired" else {}
+        return self.settings.unpaired.param_groups if self.settings.loss == "unpaired" else {}
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The network's own losses over both patterns, and the one that is chosen."""

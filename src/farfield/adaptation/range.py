@@ -140,9 +140,9 @@ class RangeAdaptation(Adaptation):
                 len(self.classes), network.channels, numbers, size=local.size, max_age=local.max_age
             )
 
-    def paces(self) -> Mapping[str, ParamGroup]:
+    def param_groups(self) -> Mapping[str, ParamGroup]:
         """The discriminator learns at its own rate."""
-        return {} if self.settings.global_ is None else self.settings.global_.paces
+        return {} if self.settings.global_ is None else self.settings.global_.param_groups
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The network's own losses, and the global and the local one."""

@@ -39,7 +39,7 @@ class LineReport(TrainingReport):
         """Print it."""
         self.console.print(text, soft_wrap=True, highlight=False)
 
-    def begins(self, step: int, steps: int) -> None:
+    def on_train_start(self, step: int, steps: int) -> None:
         """Start the clock; a run that goes on says so."""
         self.steps, self.started = steps, time.monotonic()
         self.recent.clear()
@@ -69,7 +69,7 @@ class LineReport(TrainingReport):
         values = {name: [losses[name] for losses in self.recent if name in losses] for name in names}
         return " ".join(f"{name} {sum(each) / len(each):.3f}" for name, each in values.items())
 
-    def ends(self, weights: Path | None) -> None:
+    def on_train_end(self, weights: Path | None) -> None:
         """Write the run's page; name it, the weights, and what to do with them."""
         if weights is not None:
             from farfield.experiments.course import course_of
@@ -83,9 +83,9 @@ class LineReport(TrainingReport):
 class BarReport(LineReport):
     """A moving bar with the losses and the time left."""
 
-    def begins(self, step: int, steps: int) -> None:
+    def on_train_start(self, step: int, steps: int) -> None:
         """Show the bar."""
-        super().begins(step, steps)
+        super().on_train_start(step, steps)
         from rich.progress import (
             BarColumn,
             MofNCompleteColumn,
@@ -112,7 +112,7 @@ class BarReport(LineReport):
         self.recent.append(losses)
         self.progress.update(self.task, completed=step, status=self.means)
 
-    def ends(self, weights: Path | None) -> None:
+    def on_train_end(self, weights: Path | None) -> None:
         """Leave the bar and name the weights."""
         self.progress.stop()
-        super().ends(weights)
+        super().on_train_end(weights)

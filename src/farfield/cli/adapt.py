@@ -101,9 +101,9 @@ def run(
         "seed": seed,
     }
     if dry_run:
-        from farfield.experiments.adapting import rehearsed
+        from farfield.experiments.adapting import dry_run
 
-        for line in rehearsed(detector, opened, out=folder, **given):
+        for line in dry_run(detector, opened, out=folder, **given):
             print(line)
         would_write("weights, report.html and what each round needs to go on", folder)
         return 0
@@ -130,12 +130,12 @@ class _Lines(LineReport):
         """With a progress bar."""
         return bar(numbers, what, transient=True)
 
-    def begins(self, step: int, steps: int) -> None:
+    def on_train_start(self, step: int, steps: int) -> None:
         """Start the clock of a round."""
         self.first = None
-        super().begins(step, steps)
+        super().on_train_start(step, steps)
 
-    def ends(self, weights: Path | None) -> None:
+    def on_train_end(self, weights: Path | None) -> None:
         """Print nothing: the weights of a round are not the final ones."""
         del weights
 
@@ -147,7 +147,7 @@ class _Bars(BarReport):
         """With a progress bar of its own."""
         return bar(numbers, what, transient=True)
 
-    def ends(self, weights: Path | None) -> None:
+    def on_train_end(self, weights: Path | None) -> None:
         """Leave the bar."""
         del weights
         self.progress.stop()

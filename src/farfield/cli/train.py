@@ -60,7 +60,7 @@ def run(
         plan.run(report)
         return 0
     plan.announce(report)
-    for line in plan.rehearse():
+    for line in plan.dry_run():
         print(line)
     would_write(f"weights, log and checkpoints of {training.steps} steps", folder)
     return 0

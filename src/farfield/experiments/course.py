@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from farfield.adaptation.failure_modes import signs_of
+from farfield.adaptation.failure_modes import diagnose_log
 from farfield.experiments.plan import LOG_NAME, logged
 from farfield.experiments.schema import Experiment, load_experiment
 from farfield.frame.provenance import environment
@@ -35,7 +35,7 @@ def course_of(folder: Path, out: Path | None = None, *, title: str = "") -> Path
         title=title or f"Training {experiment.name}",
         steps=experiment.training.steps,
         rows=rows,
-        signs=tuple(signs_of(rows)) if adapting else (),
+        signs=tuple(diagnose_log(rows)) if adapting else (),
         settings=_settings(experiment),
     )
     return write_course(out or folder / PAGE_NAME, page)

@@ -1,32 +1,30 @@
-"""From an experiment to a run: data, network, method, samples, loop."""
+"""From an experiment to a run: processes, modules, data, loop."""
 
-import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from farfield.adaptation.failure_modes import signs_of
-from farfield.datasets import Dataset, open_dataset
-from farfield.datasets.maps import Sweeps
+from farfield.adaptation.failure_modes import diagnose_log
+from farfield.datasets import Dataset
 from farfield.detectors import build_detector
-from farfield.errors import ConfigError, DatasetError, plain
-from farfield.experiments.announcing import lines_of
+from farfield.errors import ConfigError, plain
+from farfield.experiments.frames import held_out, open_frames, spread
 from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
+from farfield.experiments.validation import Validation
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import environment
 from farfield.simulation.recording import ensure
-from farfield.training.loop import CHECKPOINT_NAME, Training
-from farfield.training.method import DETECTOR, METHODS, Method, Stream
-from farfield.training.param_groups import described, frozen_names, frozen_now
-from farfield.training.processes import launch
+from farfield.training.checkpoints import CHECKPOINT_NAME
+from farfield.training.loop import Training
+from farfield.training.method import DETECTOR, METHODS, Method, network_of
+from farfield.training.param_groups import describe_parts, frozen_names, frozen_now
+from farfield.training.processes import kind_of_device, launch, precision_of
 from farfield.training.report import TrainingReport
 from farfield.training.samples import TrainingSamples
 from farfield.training.transfer import TransferReport, start_network
-from farfield.training.validating import Validation, spread
 
 LOG_NAME = "log.jsonl"
 START_NAME = "start.json"
@@ -61,6 +59,7 @@ class Plan:
             ConfigError: If the method's streams and the experiment's data do not fit.
         """
         experiment = self.experiment
+        # Processes; the first one announces, and simulates what is not there
         fabric = launch(experiment.training)
         report = report if report is not None and fabric.is_global_zero else TrainingReport()
         if fabric.is_global_zero:
@@ -68,87 +67,90 @@ class Plan:
             for config in (config for name, config in _groups(experiment).items() if name not in self.data):
                 ensure(config.simulate, config.path, partial(report.reading, what="simulating"), report.say)
         fabric.barrier()
-        method, start = _method(experiment, fresh=not (self.folder / CHECKPOINT_NAME).is_file())
+        # Modules: the method's, which take what fits of the weights to start from
+        method, transfer = self._method(fresh=not (self.folder / CHECKPOINT_NAME).is_file())
+        # Data: the frames of each stream, of which some are held out
         configs = _configs(experiment, method)
         data = {
-            name: self.data[name] if name in self.data else _opened(configs[name], stream, experiment)
+            name: self.data[name] if name in self.data else open_frames(configs[name], stream, experiment)
             for name, stream in method.streams.items()
         }
         data, validation = self._validation(data, configs, method)
-        parts = {name: held_out(each, method.held_out) for name, each in data.items()}
+        parts = {name: held_out(frames, method.held_out) for name, frames in data.items()}
         data = {name: trained for name, (trained, _) in parts.items()}
+        held = {name: frames for name, (_, frames) in parts.items() if frames is not None}
+        # Loop
         training = Training(
             method,
             {name: self._samples(method, name, data[name], configs[name]) for name in method.streams},
             experiment.training,
             self.folder,
-            {**_provenance(experiment, data, configs), **self._started(start)},
+            {**_provenance(experiment, data, configs), **self._provenance_of_start(transfer)},
             fabric=fabric,
-            held={
-                name: self._samples(method, name, held, configs[name], held=True)
-                for name, (_, held) in parts.items()
-                if held is not None
-            },
-            validation=validation,
+            held={name: self._samples(method, name, held[name], configs[name], held=True) for name in held},
+            score=None if validation is None else validation.score,
         )
         training.check()
         if fabric.is_global_zero:
             self.folder.mkdir(parents=True, exist_ok=True)
-            if start is not None:
-                write_text(self.folder / START_NAME, json.dumps(start.to_json(), indent=1) + "\n")
-                for line in start.lines():
+            if transfer is not None:
+                write_text(self.folder / START_NAME, json.dumps(transfer.to_json(), indent=1) + "\n")
+                for line in transfer.lines():
                     report.say(line)
             write_text(self.folder / "experiment.yaml", dump_experiment(experiment))
             write_text(self.folder / "provenance.json", json.dumps(training.provenance, indent=1))
         weights = training.run(report)
         if fabric.is_global_zero and experiment.method.name != "supervised":  # which has nothing that goes wrong so
-            for text in signs_of(logged(self.folder)):
+            for text in diagnose_log(logged(self.folder)):
                 report.say(f"note: {text}")
         return weights
 
     def announce(self, report: TrainingReport) -> None:
-        """Say what the run is about to do; errors are those of :meth:`run` that can be told without simulating."""
-        method, _ = _method(self.experiment, fresh=False)
-        configs = _configs(self.experiment, method)
-        data: dict[str, Dataset | DataConfig] = {
-            name: self.data[name]
-            if name in self.data
-            else (configs[name] if configs[name].simulate else _opened(configs[name], stream, self.experiment))
-            for name, stream in method.streams.items()
-        }
-        for line in lines_of(self.experiment, self.folder, method.modules[DETECTOR], data):
+        """Say what the run is about to do; errors are those of :meth:`run` that need no simulation to be found."""
+        experiment, training = self.experiment, self.experiment.training
+        method, _ = self._method(fresh=False)
+        configs = _configs(experiment, method)
+        size = sum(parameter.numel() for parameter in method.modules[DETECTOR].parameters())
+        how = "" if experiment.method.name == "supervised" else f" by the method {experiment.method.name}"
+        detector = experiment.detector
+        lines = [
+            f"trains {detector.name} ({size / 1e6:.2f} M parameters) to {detector.reach_m:g} m{how}; "
+            f"classes {', '.join(detector.class_names)}"
+        ]
+        counts: list[int] = []
+        for name, stream in method.streams.items():
+            of_stream = f" of the stream {name}" if len(method.streams) > 1 else ""
+            if name not in self.data and configs[name].simulate:
+                lines.append(f"data{of_stream}: {_planned(configs[name])}")
+                continue
+            data = self.data[name] if name in self.data else open_frames(configs[name], stream, experiment)
+            drives = len(set(data.sequences))
+            counts.append(len(data))
+            lines.append(
+                f"data{of_stream}: {data.root} ({data.name}), {len(data):,} frames of {drives} "
+                f"{'drive' if drives == 1 else 'drives'}"
+            )
+        frames = sum(counts) if len(counts) == len(method.streams) else 0
+        passes = f", {training.steps * training.batch_size / frames:.1f} passes over the data" if frames else ""
+        lines.append(
+            f"{training.steps:,} steps of {training.batch_size} frames{passes}, learning rate up to "
+            f"{training.learning_rate:g}, {precision_of(training)} on the {kind_of_device(training)}, "
+            f"seed {training.seed}"
+        )
+        if training.start is not None:
+            lines.append(f"starts from {training.start.weights}")
+        if (validation := training.validation) is not None:
+            which = f"of the split {validation.split}" if validation.split else "held out"
+            lines.append(
+                f"validation every {validation.every_steps} steps on {validation.frames} frames {which}; the best "
+                "weights are kept"
+            )
+        goes_on = (self.folder / CHECKPOINT_NAME).is_file()
+        lines.append(f"run: {self.folder}, {'which goes on from its checkpoint' if goes_on else 'which begins'}")
+        for line in lines:
             report.say(line)
 
-    def _validation(
-        self, data: Mapping[str, Dataset], configs: Mapping[str, DataConfig], method: Method
-    ) -> tuple[dict[str, Dataset], Validation | None]:
-        """The frames that are trained on, and those of the first labelled stream that are scored meanwhile."""
-        wanted, training = self.experiment.training.validation, self.experiment.training
-        if wanted is None:
-            return dict(data), None
-        name = next((name for name, stream in method.streams.items() if stream.labelled), None)
-        if name is None:
-            raise ConfigError(f"training.validation: the method {self.experiment.method.name} has no labelled stream.")
-        config, data = configs[name], dict(data)
-        if wanted.split:
-            other = config.model_copy(update={"split": wanted.split})
-            frames = spread(_opened(other, method.streams[name], self.experiment), wanted.frames)
-        else:
-            data[name], held = held_out(data[name], wanted.frames)
-            assert held is not None
-            frames = held
-        cloud = config.clouds[0] if isinstance(config.clouds, tuple) else None
-        validation = Validation(
-            frames=frames,
-            every_steps=wanted.every_steps,
-            cloud=cloud,
-            aliases=config.aliases,
-            precision=training.precision,
-        )
-        validation.check(self.experiment.detector.class_names)
-        return data, validation
-
-    def rehearse(self) -> list[str]:
+    def dry_run(self) -> list[str]:
         """What would be taken of the weights to start from, and what each part of the network would do; reads no data.
 
         Returns:
@@ -157,30 +159,59 @@ class Plan:
         Raises:
             ConfigError: As :meth:`run` would before its first step.
         """
-        method, start = _method(self.experiment, fresh=True)
-        lines = [] if start is None else list(start.lines())
-        network, training = method.modules[DETECTOR], self.experiment.training
+        method, transfer = self._method(fresh=True)
+        lines = [] if transfer is None else list(transfer.lines())
+        network, training = network_of(method.modules), self.experiment.training
         until = {} if training.start is None else training.start.frozen_until
-        held = frozen_names(network, frozen_now(until, 0, training.steps))
-        trained = sum(p.numel() for name, p in network.named_parameters() if name not in held)
+        frozen = frozen_names(network, frozen_now(until, 0, training.steps))
+        trained = sum(p.numel() for name, p in network.named_parameters() if name not in frozen)
         lines.append(f"{training.steps} steps; the first trains {trained} parameters of the detector")
-        return [*lines, *(f"  {line}" for line in described(network, training))]
+        return [*lines, *(f"  {line}" for line in describe_parts(network, training))]
 
-    def _started(self, start: TransferReport | None) -> dict[str, Any]:
-        """What the provenance says of the start: of a run that goes on, what it wrote when it began."""
-        if start is not None:
-            return {"start": start.brief()}
-        path = self.folder / START_NAME
-        if self.experiment.training.start is None or not path.is_file():
-            return {}
-        said = json.loads(path.read_text(encoding="utf-8"))
-        return {"start": {name: said[name] for name in ("weights", "sha256", "share")}}
+    def _method(self, *, fresh: bool) -> tuple[Method, TransferReport | None]:
+        """The method with its network; a fresh run's network takes the weights to start from."""
+        experiment = self.experiment
+        network = build_detector(experiment.detector, seed=experiment.training.seed)  # and what the method makes too
+        kind, start = METHODS[experiment.method.name], experiment.training.start
+        transfer = start_network(network, start.weights, start) if start is not None and fresh else None
+        try:
+            return kind(network, **experiment.method.settings), transfer
+        except TypeError as error:
+            raise ConfigError(f"method {experiment.method.name}: a setting does not fit: {plain(error)}") from error
+
+    def _validation(
+        self, data: Mapping[str, Dataset], configs: Mapping[str, DataConfig], method: Method
+    ) -> tuple[dict[str, Dataset], Validation | None]:
+        """The frames that are trained on, and those of the first labelled stream that are scored meanwhile."""
+        settings = self.experiment.training.validation
+        if settings is None:
+            return dict(data), None
+        name = next((name for name, stream in method.streams.items() if stream.labelled), None)
+        if name is None:
+            raise ConfigError(f"training.validation: the method {self.experiment.method.name} has no labelled stream.")
+        config, trained = configs[name], data[name]
+        if settings.split:
+            other = config.model_copy(update={"split": settings.split})
+            frames = open_frames(other, method.streams[name], self.experiment)
+            frames = frames.select(spread(len(frames), settings.frames))
+        else:
+            trained, held = held_out(trained, settings.frames)
+            assert held is not None
+            frames = held
+        validation = Validation(
+            frames=frames,
+            cloud=config.clouds[0] if isinstance(config.clouds, tuple) else None,
+            aliases=config.aliases,
+            precision=self.experiment.training.precision,
+        )
+        validation.check(self.experiment.detector.class_names)
+        return {**data, name: trained}, validation
 
     def _samples(
         self, method: Method, name: str, data: Dataset, config: DataConfig, *, held: bool = False
     ) -> TrainingSamples:
         """The samples of a stream; those of held-out frames come as they are, each once."""
-        network, training = method.modules["detector"], self.experiment.training
+        network, training = network_of(method.modules), self.experiment.training
         return TrainingSamples(
             data,
             inputs=network.inputs,
@@ -197,6 +228,16 @@ class Plan:
             stream=replace(method.streams[name], changed=False) if held else method.streams[name],
         )
 
+    def _provenance_of_start(self, transfer: TransferReport | None) -> dict[str, Any]:
+        """What the provenance says of the start: of a run that goes on, what it wrote when it began."""
+        if transfer is not None:
+            return {"start": transfer.brief()}
+        path = self.folder / START_NAME
+        if self.experiment.training.start is None or not path.is_file():
+            return {}
+        written = json.loads(path.read_text(encoding="utf-8"))
+        return {"start": {name: written[name] for name in ("weights", "sha256", "share")}}
+
 
 def logged(folder: Path) -> list[dict[str, float | int]]:
     """The rows of a run's log by step; of steps that a resumed run took again, the last ones."""
@@ -211,15 +252,12 @@ def _groups(experiment: Experiment) -> dict[str, DataConfig]:
     return {"": experiment.data} if isinstance(experiment.data, DataConfig) else dict(experiment.data)
 
 
-def _method(experiment: Experiment, *, fresh: bool) -> tuple[Method, TransferReport | None]:
-    """The method with its network; a fresh run's network takes the weights to start from."""
-    network = build_detector(experiment.detector, seed=experiment.training.seed)  # and what the method makes, with it
-    kind, start = METHODS[experiment.method.name], experiment.training.start
-    found = start_network(network, start.weights, start) if start is not None and fresh else None
-    try:
-        return kind(network, **experiment.method.settings), found
-    except TypeError as error:
-        raise ConfigError(f"method {experiment.method.name}: a setting does not fit: {plain(error)}") from error
+def _planned(config: DataConfig) -> str:
+    """What is going to be simulated, in words."""
+    simulation = config.simulate
+    assert simulation is not None
+    state = "simulated before" if config.path.is_dir() else "which is not there and is simulated first"
+    return f"{config.path}, {state}: {simulation.preset}, {simulation.sequences} drives of {simulation.frames} frames"
 
 
 def _configs(experiment: Experiment, method: Method) -> dict[str, DataConfig]:
@@ -228,118 +266,21 @@ def _configs(experiment: Experiment, method: Method) -> dict[str, DataConfig]:
     if isinstance(experiment.data, DataConfig) and len(names) == 1:
         return {names[0]: experiment.data}
     if set(groups) != set(names):
-        given = ", ".join(groups) if not isinstance(experiment.data, DataConfig) else "one data set without a name"
-        raise ConfigError(f"method {experiment.method.name}: expected data for {', '.join(names)}; got {given}.")
+        described = ", ".join(groups) if not isinstance(experiment.data, DataConfig) else "one data set without a name"
+        raise ConfigError(f"method {experiment.method.name}: expected data for {', '.join(names)}; got {described}.")
     return groups
-
-
-def _opened(config: DataConfig, stream: Stream, experiment: Experiment) -> Dataset:
-    """The frames of a stream as they are trained on.
-
-    Raises:
-        DatasetError: If they lack a cloud, or a labelled stream has frames without annotation.
-    """
-    if not config.path.is_dir():
-        raise DatasetError(
-            f"{experiment.name}: expected its data in {config.path}, found no folder there. Name where they are: "
-            f"farfield train {experiment.name} -o data.path=FOLDER"
-        )
-    data = open_dataset(config.path, **config.options)
-    data = data.mapped(Sweeps(config.sweeps)) if config.sweeps > 1 else data
-    if config.split:
-        data = data.split(config.split)
-    data = part_of(data, config.part, config.part_draw) if config.part != (0.0, 1.0) else data
-    wanted = config.clouds if isinstance(config.clouds, tuple) else sum(config.clouds.values(), ())
-    missing = [name for name in wanted if name not in data[0].clouds]
-    if missing:
-        raise DatasetError(f"{data.root}: expected the clouds {missing}; its frames hold {list(data[0].clouds)}.")
-    return annotated_frames(data, experiment.training.unannotated) if stream.labelled else data
-
-
-def part_of(data: Dataset, part: tuple[float, float], draw: int = 0) -> Dataset:
-    """The frames of a part of the sequences, whole ones; smaller parts that begin alike lie in larger ones.
-
-    Args:
-        data: The frames.
-        part: From where to where in the drawn order of the sequences, shares of their number.
-        draw: Draws the order, by the sequences' names alone.
-
-    Raises:
-        DatasetError: If no sequence falls into the part.
-    """
-    names = sorted({sequence for sequence, _ in data.keys})
-    names.sort(key=lambda name: hashlib.sha256(f"{draw}:{name}".encode()).digest())
-    first, last = (math.floor(share * len(names) + 0.5) for share in part)
-    kept = set(names[first:last])
-    if not kept:
-        raise DatasetError(
-            f"{data.root}: expected at least one of its {len(names)} sequences in the part {part[0]:g} to {part[1]:g}; "
-            "got none. Take a larger part."
-        )
-    return data.select([index for index, (sequence, _) in enumerate(data.keys) if sequence in kept])
-
-
-def held_out(data: Dataset, count: int) -> tuple[Dataset, Dataset | None]:
-    """Part frames into those that are trained on and some that are not.
-
-    Whole sequences are held out where there are others: neighbouring frames look alike. Of a single sequence it is its
-    end.
-
-    Args:
-        data: The frames.
-        count: How many to hold out; 0 holds out none.
-
-    Raises:
-        DatasetError: If that leaves no frame to train on.
-    """
-    if not count:
-        return data, None
-    names = sorted(set(data.sequences), key=lambda name: hashlib.sha256(f"held:{name}".encode()).digest())
-    taken: set[str] = set()
-    for name in names[:-1]:
-        if sum(sequence in taken for sequence in data.sequences) < count:
-            taken.add(name)
-    held = [index for index, sequence in enumerate(data.sequences) if sequence in taken]
-    if len(held) < count:
-        held = list(range(len(data)))[-count:]
-    trained = [index for index in range(len(data)) if index not in set(held)]
-    if not trained:
-        raise DatasetError(f"{data.root}: expected more than {count} frames, to hold so many out; got {len(data)}.")
-    return data.select(trained), data.select([held[place * len(held) // count] for place in range(count)])
-
-
-def annotated_frames(data: Dataset, unannotated: str) -> Dataset:
-    """The frames that were annotated; those without any box were, those without an annotation were not.
-
-    Args:
-        data: The frames.
-        unannotated: ``"refuse"`` or ``"skip"``.
-
-    Raises:
-        DatasetError: If there are frames without annotation and they are refused, or if no frame has one.
-    """
-    kept = [index for index in range(len(data)) if data.has_annotation(index)]
-    lacking = len(data) - len(kept)
-    if lacking and unannotated == "refuse":
-        raise DatasetError(
-            f"{data.root}: {lacking} of {len(data)} frames have no annotation and would train as empty ones. "
-            "Set training.unannotated=skip to leave them out, or name a split or folder of annotated ones."
-        )
-    if not kept:
-        raise DatasetError(f"{data.root}: expected annotated frames to train on, found none.")
-    return data.select(kept) if lacking else data
 
 
 def _provenance(experiment: Experiment, data: dict[str, Dataset], configs: dict[str, DataConfig]) -> dict[str, Any]:
     """What travels in every checkpoint and in the weights: experiment, data, environment."""
     streams = {
         name: {
-            "data_fingerprint": each.fingerprint(),
-            "frames": len(each),
+            "data_fingerprint": frames.fingerprint(),
+            "frames": len(frames),
             "clouds": configs[name].clouds,
-            "recipe": each.recipe,
+            "recipe": frames.recipe,
         }
-        for name, each in data.items()
+        for name, frames in data.items()
     }
     first = next(iter(streams.values()))
     return {

@@ -4,7 +4,6 @@ import copy
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -16,7 +15,7 @@ from farfield.training.method import Batch
 from farfield.training.param_groups import is_within
 
 
-def take_over(average: dict[str, Tensor], state: Mapping[str, Tensor]) -> None:
+def copy_state(average: dict[str, Tensor], state: Mapping[str, Tensor]) -> None:
     """Set each averaged tensor to the one of its name."""
     for name, value in average.items():
         value.copy_(state[name])
@@ -43,15 +42,15 @@ def follow(
             average[name].lerp_(value.to(average[name].device, torch.float32), 1 - decay)
 
 
-def state_of(module: nn.Module, average: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """A module's state with averaged values, in its own number types; ``prefix`` begins their names in the average."""
-    return {name: average[prefix + name].to(value.dtype) for name, value in module.state_dict().items()}
+def state_of(module: nn.Module, average: Mapping[str, Tensor], name: str) -> dict[str, Tensor]:
+    """The state of the module ``name`` with its values in the average, in its own number types."""
+    return {key: average[f"{name}.{key}"].to(value.dtype) for key, value in module.state_dict().items()}
 
 
-def averaged(network: nn.Module, average: Mapping[str, Tensor], prefix: str) -> Any:
-    """A copy of a network with averaged weights and statistics, in evaluation mode; ``prefix`` as in `state_of`."""
+def averaged(network: Network, average: Mapping[str, Tensor], name: str) -> Network:
+    """A copy of a network, the module ``name``, with averaged weights and statistics, in evaluation mode."""
     copied = copy.deepcopy(network)
-    copied.load_state_dict(state_of(network, average, prefix))
+    copied.load_state_dict(state_of(network, average, name))
     return copied.eval()
 
 
@@ -59,11 +58,6 @@ def averaged(network: nn.Module, average: Mapping[str, Tensor], prefix: str) -> 
 
 STATISTICS_NAME = "statistics.json"
 """In a run's folder: from how many batches its statistics were taken anew, and the scores before and after."""
-
-
-def norms_of(network: nn.Module) -> list[_BatchNorm]:
-    """The batch normalisations that keep statistics."""
-    return [each for each in network.modules() if isinstance(each, _BatchNorm) and each.track_running_stats]
 
 
 @torch.no_grad()
@@ -79,7 +73,7 @@ def reestimate(network: Network, batches: Iterable[Mapping[str, Batch]]) -> int:
     Returns:
         How many batches there were.
     """
-    norms = norms_of(network)
+    norms = [norm for norm in network.modules() if isinstance(norm, _BatchNorm) and norm.track_running_stats]
     momenta = [norm.momentum for norm in norms]
     for norm in norms:
         norm.reset_running_stats()
@@ -99,7 +93,7 @@ def reestimate(network: Network, batches: Iterable[Mapping[str, Batch]]) -> int:
     return count
 
 
-def keep_reestimated(folder: Path, batches: int, scores: Sequence[float | None]) -> str:
+def save_reestimated(folder: Path, batches: int, scores: Sequence[float | None]) -> str:
     """Write what taking the statistics anew did, as ``statistics.json``.
 
     Args:
@@ -112,7 +106,7 @@ def keep_reestimated(folder: Path, batches: int, scores: Sequence[float | None])
     """
     before, after = scores
     write_text(folder / STATISTICS_NAME, json.dumps({"batches": batches, "before": before, "after": after}) + "\n")
-    said = f"batch statistics taken anew from {batches} batches"
+    sentence = f"batch statistics taken anew from {batches} batches"
     if before is None or after is None:
-        return said
-    return f"{said}: {before:.3f} mean AP on held-out frames before, {after:.3f} after"
+        return sentence
+    return f"{sentence}: {before:.3f} mean AP on held-out frames before, {after:.3f} after"

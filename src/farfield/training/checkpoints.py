@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,12 @@ from torch import Tensor, nn
 
 from farfield.detectors import DETECTORS
 from farfield.errors import ConfigError, FarfieldError, FileFormatError, plain
-from farfield.files.atomic import write_bytes
+from farfield.files.atomic import write_bytes, write_text
+
+CHECKPOINT_NAME = "checkpoint.pt"
+"""In a run's folder: its state."""
+BEST = "best"
+"""Stem of the best weights' file, and of what is known of them."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -167,3 +172,39 @@ def _fingerprints(provenance: Mapping[str, Any]) -> dict[str, Any]:
     if streams is None:
         return {"labelled": provenance.get("data_fingerprint")}
     return {name: stream.get("data_fingerprint") for name, stream in streams.items()}
+
+
+# The best weights so far, of a training that is validated
+
+
+def best_of(stem: str) -> str:
+    """Name of the best weights beside those of the last step: ``best`` beside ``weights``."""
+    return BEST if stem == "weights" else f"{BEST}-{stem}"
+
+
+@dataclass(frozen=True)
+class BestScore:
+    """The best score so far in a run's folder."""
+
+    step: int
+    score: float
+
+    @classmethod
+    def read(cls, folder: Path) -> "BestScore | None":
+        """What an earlier part of the run reached; None where nothing stands there."""
+        path = folder / f"{BEST}.json"
+        try:
+            tree = json.loads(path.read_text(encoding="utf-8"))
+            return cls(int(tree["step"]), float(tree["validation"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def write(self, folder: Path) -> None:
+        """Keep it."""
+        write_text(folder / f"{BEST}.json", json.dumps({"step": self.step, "validation": self.score}) + "\n")
+
+
+def remove_best(folder: Path, stems: Sequence[str]) -> None:
+    """Remove what another run left, as a run begins anew."""
+    for name in (f"{BEST}.json", *(f"{stem}.safetensors" for stem in stems)):
+        (folder / name).unlink(missing_ok=True)

@@ -3,10 +3,11 @@
 The loop owns the rest: optimiser, schedule, averages, checkpoints, processes.
 """
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar, cast
 
 import torch
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -95,6 +96,13 @@ class Method(ABC):
     modules: nn.ModuleDict
     held_out: int = 0
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for old, new in (("begins", "on_train_start"), ("paces", "param_groups")):
+            if old in vars(cls):
+                warnings.warn(f"{cls.__name__}: the hook {old} is called {new} now", DeprecationWarning, stacklevel=2)
+                setattr(cls, new, vars(cls)[old])
+
     @abstractmethod
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The losses of a batch by name; their sum is minimised, and each is a column of the log.
@@ -108,7 +116,7 @@ class Method(ABC):
             step: Number of the step, from 0.
         """
 
-    def begins(self, steps: int, seed: int) -> None:  # noqa: B027 - most methods have nothing to do
+    def on_train_start(self, steps: int, seed: int) -> None:  # noqa: B027 - most methods have nothing to do
         """Called before the first step, also of a training that goes on.
 
         Args:
@@ -116,7 +124,7 @@ class Method(ABC):
             seed: Its seed: what the method draws at random is to be a function of it and of the step.
         """
 
-    def paces(self) -> Mapping[str, ParamGroup]:
+    def param_groups(self) -> Mapping[str, ParamGroup]:
         """Modules with a learning rate and a limit of the gradient of their own, such as a discriminator."""
         return {}
 
@@ -204,7 +212,7 @@ class Supervised(Method):
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The network's own losses."""
         del step
-        network, frames = self.modules[DETECTOR], batch[LABELLED]
+        network, frames = network_of(self.modules), batch[LABELLED]
         outputs = network(frames.inputs, frames.targets)
         with torch.autocast(next(network.parameters()).device.type, enabled=False):  # losses are summed in float32
             losses: dict[str, Tensor] = network.losses(outputs, frames.targets)
@@ -224,6 +232,11 @@ METHODS: Registry[Callable[..., Method]] = Registry(
     },
 )
 """Methods by name: each is called with the detector's network and the experiment's further ``method`` settings."""
+
+
+def network_of(modules: nn.ModuleDict, name: str = DETECTOR) -> Network:
+    """The module of that name, which is a network."""
+    return cast(Network, modules[name])
 
 
 def total_of(losses: Mapping[str, Tensor]) -> Tensor:

@@ -78,7 +78,7 @@ def set_rates(optimizer: torch.optim.Optimizer, peak_now: float | int) -> None:
         group["lr"] = peak_now * group.get("rate", 1.0)
 
 
-def described(network: nn.Module, config: TrainingConfig) -> list[str]:
+def describe_parts(network: nn.Module, config: TrainingConfig) -> list[str]:
     """A line for each part of the network: its parameters, its rate, and until which step it is frozen."""
     start = config.start
     rates, until = rates_of(network, start), {} if start is None else start.frozen_until
@@ -149,7 +149,7 @@ def frozen_modules(network: nn.Module, patterns: Collection[str]) -> list[nn.Mod
     return found
 
 
-def hold(network: nn.Module, patterns: Collection[str]) -> None:
+def freeze(network: nn.Module, patterns: Collection[str]) -> None:
     """Freeze these parts: no gradient, evaluation mode; the rest of the network is not touched.
 
     Raises:

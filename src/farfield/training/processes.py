@@ -203,9 +203,9 @@ class StopSignal:
             before(number, frame)
         self.number = number
 
-    def asked(self, device: torch.device) -> bool:
+    def requested(self, device: torch.device) -> bool:
         """Whether any process was asked to stop: all of them hear of it after the same step."""
-        return average_values({"asked": float(self.number > 0)}, device)["asked"] > 0
+        return average_values({"requested": float(self.number > 0)}, device)["requested"] > 0
 
     def follow(self) -> None:
         """End as the signal would have ended it.
@@ -221,7 +221,7 @@ class StopSignal:
 
 
 @contextmanager
-def stopping() -> Iterator[StopSignal]:
+def stop_signals() -> Iterator[StopSignal]:
     """Let Ctrl-C and SIGTERM wait for the end of a step; outside the main thread they stay as they are."""
     stop = StopSignal()
     if threading.current_thread() is not threading.main_thread():

@@ -15,11 +15,11 @@ class TrainingReport:
     def say(self, text: str) -> None:
         """A line for the user."""
 
-    def begins(self, step: int, steps: int) -> None:
+    def on_train_start(self, step: int, steps: int) -> None:
         """The first step is about to be taken: ``step`` are done, of ``steps``."""
 
     def step(self, step: int, losses: dict[str, float]) -> None:
         """A step is done; ``step`` counts from 1."""
 
-    def ends(self, weights: Path | None) -> None:
+    def on_train_end(self, weights: Path | None) -> None:
         """The weights are written, or, without any, the training was interrupted."""

@@ -497,7 +497,7 @@ def _one_thread(_: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the training's, which ends its workers
 
 
-def batch_of(samples: list[TrainingSample], fabric: Fabric) -> Batch:
+def to_batch(samples: list[TrainingSample], fabric: Fabric) -> Batch:
     """Samples as a batch on the process' device."""
     names = samples[0].inputs
     inputs = Inputs({name: [fabric.to_device(sample.inputs[name]) for sample in samples] for name in names})

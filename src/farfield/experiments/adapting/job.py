@@ -16,7 +16,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from farfield.adaptation.failure_modes import signs_of
+from farfield.adaptation.failure_modes import diagnose_log
 from farfield.adaptation.pseudo_labels import check_ignores
 from farfield.adaptation.thresholds import thresholds_of
 from farfield.datasets import Dataset, open_dataset
@@ -32,7 +32,6 @@ from farfield.experiments.adapting.options import (
     choices_of,
     load_settled,
     save_settled,
-    spread,
 )
 from farfield.experiments.adapting.report import HeldOutFrames, held_frames, held_scores, page_of
 from farfield.experiments.adapting.rounds import (
@@ -45,6 +44,7 @@ from farfield.experiments.adapting.rounds import (
     steps_wanted,
 )
 from farfield.experiments.adapting.source import FOLDER, TrainingHistory, learnt_by, simulation_of, source_frames
+from farfield.experiments.frames import spread
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
@@ -101,7 +101,7 @@ def adapt(
     return job.run()
 
 
-def rehearsed(
+def dry_run(
     detector: str | Path,
     data: Path | str | Dataset,
     *,
@@ -123,7 +123,7 @@ def rehearsed(
     Raises:
         ConfigError, DatasetError, FarfieldError: As ``adapt`` before it begins.
     """
-    return _job(detector, data, Path(out), source, labels, None, None, choices).rehearsed()
+    return _job(detector, data, Path(out), source, labels, None, None, choices).dry_run()
 
 
 def _job(
@@ -309,7 +309,7 @@ class AdaptationJob:
         if self.held is not None:
             as_trained(self.held.frames, self.detector.info)[0].cloud(next(iter(config.clouds)))
 
-    def rehearsed(self) -> list[str]:
+    def dry_run(self) -> list[str]:
         """What is to be done, in lines; as many rounds and steps as are chosen, which --minutes may lower."""
         choices, steps = self.choices, steps_wanted(self.choices, self.learnt)
         lines = ["source: the labelled frames of " + str(self.given)] if self.given is not None else []
@@ -332,7 +332,7 @@ class AdaptationJob:
             found.append(self.search(self.train(number, settled, found[-1]), number))
         self.say_round(0, found[-1], settled)
         weights, rows = self.export(settled), self.rows()
-        signs = tuple(signs_of(rows))
+        signs = tuple(diagnose_log(rows))
         scores = self.scores(weights)
         page = page_of(
             self.folder / PAGE,

@@ -1,7 +1,7 @@
 """What decides the outcome of an adaptation: what was chosen, and what was measured once and then kept."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -122,12 +122,3 @@ def load_settled(folder: Path, settings: Mapping[str, Any]) -> CalibratedThresho
 def save_settled(folder: Path, settled: CalibratedThresholds) -> None:
     """Keep what was settled, all or nothing."""
     write_text(folder / SETTLED, settled.model_dump_json(indent=1) + "\n")
-
-
-def spread(count: int, most: int) -> Sequence[int]:
-    """Indices of at most so many of ``count`` frames, spread evenly; all of them if ``most`` is 0.
-
-    >>> list(spread(10, 3)), list(spread(3, 0))
-    ([0, 3, 6], [0, 1, 2])
-    """
-    return range(count) if not most or count <= most else [number * count // most for number in range(most)]

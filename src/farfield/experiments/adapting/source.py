@@ -10,8 +10,7 @@ from farfield.datasets.maps import WholeBodies
 from farfield.datasets.recipes import recipe_of_experiment
 from farfield.errors import ConfigError
 from farfield.evaluation import as_trained, suitable_clouds
-from farfield.experiments.adapting.options import spread
-from farfield.experiments.plan import annotated_frames
+from farfield.experiments.frames import annotated_frames, spread
 from farfield.experiments.schema import DataConfig
 from farfield.jobs.runs import Progress
 from farfield.simulation.recording import SimulationConfig, ensure

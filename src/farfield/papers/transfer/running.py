@@ -12,7 +12,8 @@ from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import CommonRadar, make
 from farfield.detectors.runtime import Detector
 from farfield.evaluation import detect
-from farfield.experiments.plan import Plan, annotated_frames, part_of
+from farfield.experiments.frames import annotated_frames, part_of
+from farfield.experiments.plan import Plan
 from farfield.experiments.schema import experiment_of
 from farfield.files.atomic import write_text
 from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run
