@@ -18,7 +18,7 @@ from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation import detect, detections_from_boxes
 from farfield.frame import Annotation, Boxes, Cloud, Frame
 from farfield.inspection.doctor import examine
-from farfield.metrics.sanity import meant_by
+from farfield.vocabulary.classes import closest_class
 
 CARS = np.array([[12.0, 0.0, -1.2], [25.0, 4.0, -1.2], [40.0, -5.0, -1.2]])
 
@@ -93,7 +93,7 @@ class TestClasses:
         report = examine(open_dataset(own(tmp_path / "own", "Car")))
         (finding,) = [finding for finding in report.findings if finding.topic == "class names"]
         assert "did you mean Car: vehicle?" in finding.what
-        assert meant_by("LKW", ["vehicle"]) == ""
+        assert closest_class("LKW", ["vehicle"]) == ""
 
     def test_training_without_one_box_stops(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         pytest.importorskip("torch")

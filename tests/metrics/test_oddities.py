@@ -10,7 +10,7 @@ from farfield.cli import main
 from farfield.errors import ConfigError
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.metrics.box_files import read
-from farfield.metrics.sanity import meant_by
+from farfield.vocabulary.classes import closest_class
 
 Changed = Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]
 
@@ -123,6 +123,6 @@ def test_nothing_found_is_exit_status_1(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_names_are_guessed() -> None:
-    assert meant_by("Auto", ["vehicle"]) == ""
-    assert meant_by("pedestrain", ["vehicle", "pedestrian"]) == "pedestrian"
-    assert meant_by("bus", ["vehicle", "large_vehicle"]) == "large_vehicle"
+    assert closest_class("Auto", ["vehicle"]) == ""
+    assert closest_class("pedestrain", ["vehicle", "pedestrian"]) == "pedestrian"
+    assert closest_class("bus", ["vehicle", "large_vehicle"]) == "large_vehicle"

@@ -26,7 +26,7 @@ from farfield.simulation.overlay import OverlaidWeather
 from farfield.simulation.weather.conditions import Weather
 from farfield.training.config import AugmentationConfig, WeatherConfig
 from farfield.training.samples import TrainingSamples
-from farfield.training.weather import WeatherOverlay, check_weather, draw_laid, inside_presets, lay_over, read_with
+from farfield.training.weather import WeatherOverlay, check_weather, draw_weather, inside_presets, lay_over, read_with
 
 STILL = {"flip_probability": 0.0, "rotation_rad": 0.0, "scale": 0.0}
 LUMINAR = {"sensor": "luminar-h2", "probability": 1.0}
@@ -77,7 +77,7 @@ def test_the_benchmarks_settings_lie_outside_too():
 
 def test_draws_stay_within_the_settings_and_come_as_often_as_they_say(rng):
     config = WeatherConfig(probability=0.5)
-    drawn = [draw_laid(config, rng) for _ in range(2000)]
+    drawn = [draw_weather(config, rng) for _ in range(2000)]
     laid = [each for each in drawn if each is not None]
     assert len(laid) == pytest.approx(1000, abs=120)
     rain = [each.weather.rain_mm_h for each in laid if each.weather.rain_mm_h]
@@ -90,8 +90,8 @@ def test_draws_stay_within_the_settings_and_come_as_often_as_they_say(rng):
     assert max(rain) == pytest.approx(30)
     assert all(0.08 <= each.icing_at(0.0) <= 0.35 for each in snow)
     assert all(12 <= each.patches_deg[0] <= 25 and 0.08 <= each.transmission <= 0.3 for each in ice)
-    assert draw_laid(WeatherConfig(probability=0.0), rng) is None
-    same = [draw_laid(config, np.random.default_rng(seed)) for seed in (5, 5)]
+    assert draw_weather(WeatherConfig(probability=0.0), rng) is None
+    same = [draw_weather(config, np.random.default_rng(seed)) for seed in (5, 5)]
     assert (same[0] is None) == (same[1] is None)
 
 

@@ -19,7 +19,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.training.augmentation import Augmentation, draw_change
 from farfield.training.config import AugmentationConfig, WeatherConfig
 from farfield.training.method import MethodSettings
-from farfield.training.weather import draw_laid, holding, lay_over
+from farfield.training.weather import draw_weather, holding, lay_over
 
 Score = float | dict[str, float]
 """A threshold of the score: one for all classes, or one for each."""
@@ -121,7 +121,7 @@ def in_weather(
     named = {name: list(clouds) for name, clouds in inputs.items()}
     left = list(found)
     for frame in range(len(found)):
-        laid = draw_laid(config, rng)
+        laid = draw_weather(config, rng)
         if laid is None:
             continue
         before, after = [], []

@@ -26,9 +26,9 @@ from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.options import option_text
 from farfield.metrics.presenting import Presentation, Presenter
 from farfield.metrics.result import Result, Subject, figure_names, labels_fingerprint, region_words, value_at
-from farfield.metrics.sanity import meant_by, strange_classes
+from farfield.metrics.sanity import strange_classes
 from farfield.registry import PluginError, Registry
-from farfield.vocabulary.classes import CIRRUS_CLASSES
+from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class
 
 Details = Mapping[str, Shaped[np.ndarray, "n *rest"]]
 
@@ -418,7 +418,7 @@ class Detections:
         if label is None:
             return
         if counts and label not in counts:
-            guess = meant_by(label, counts)
+            guess = closest_class(label, counts)
             shown = ", ".join(f"{name} ({count})" for name, count in counts.items())
             raise ConfigError(
                 f"label: expected an annotated class, one of {shown}; got {label!r}"
@@ -493,7 +493,7 @@ def _advice(counts: Mapping[str, int], detected: Mapping[str, None], label: str 
     shared = [name for name in counts if name in detected]
     if label is not None and label not in counts and shared:
         return f"Take an annotated one: --label {' or '.join(shared)}"
-    guess = next((f"{name}:{meant}" for name in counts if (meant := meant_by(name, detected))), "")
+    guess = next((f"{name}:{meant}" for name in counts if (meant := closest_class(name, detected))), "")
     guess = guess or f"{label if label in counts else next(iter(counts))}:{next(iter(detected))}"
     return f"Name what is meant with --options relabel={guess} (relabel=, a mapping, in Python)"
 

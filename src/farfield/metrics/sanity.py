@@ -6,7 +6,6 @@ annotated boxes. Nothing is changed: a reading that fits far better is named.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from functools import partial
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ from jaxtyping import Float
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.frames import BoxesByFrame, frame_order
-from farfield.vocabulary.classes import normalised_class, unit_of_sizes
+from farfield.vocabulary.classes import closest_class, unit_of_sizes
 
 _TURN = 2 * np.pi
 _FEW = 0.05  # share of headings beyond a turn that a tracker's unwrapping may leave
@@ -137,7 +136,7 @@ def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: M
     if not strange or not annotated_counts:
         return []
     shown = ", ".join(f"{name} ({count})" for name, count in list(strange.items())[:8])
-    meant = {name: guess for name in strange if (guess := meant_by(name, annotated_counts))}
+    meant = {name: guess for name in strange if (guess := closest_class(name, annotated_counts))}
     advice = f"; meant is perhaps {', '.join(f'{a}:{b}' for a, b in meant.items())}: --options relabel={_pairs(meant)}"
     return [
         f"{sum(strange.values())} of {sum(predicted_counts.values())} predicted boxes are of classes that no label "
@@ -147,19 +146,6 @@ def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: M
 
 def _pairs(meant: Mapping[str, str]) -> str:
     return ",".join(f"{name}:{guess}" for name, guess in meant.items())
-
-
-def meant_by(name: str, names: Iterable[str]) -> str:
-    """The known class that a name may be meant for; empty where none is like it.
-
-    >>> meant_by("Car", ["vehicle", "pedestrian"]), meant_by("vehicel", ["vehicle"]), meant_by("LKW", ["vehicle"])
-    ('vehicle', 'vehicle', '')
-    """
-    by_plain = {other.lower(): other for other in names}
-    ours = normalised_class(name, {})
-    same = [other for other in by_plain.values() if normalised_class(other, {}) == ours != "unknown"]
-    close = get_close_matches(name.lower(), list(by_plain), n=1, cutoff=0.75)
-    return by_plain.get(name.lower()) or (same[0] if same else by_plain[close[0]] if close else "")
 
 
 def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:

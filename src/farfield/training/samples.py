@@ -22,15 +22,15 @@ from farfield.datasets.base import Dataset
 from farfield.detectors.inputs import CloudInput, Inputs, cloud_tensor
 from farfield.detectors.network import Assigner
 from farfield.errors import ConfigError, DatasetError
-from farfield.frame import Annotation, Frame, Key
+from farfield.frame import Annotation, Key
 from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
-from farfield.metrics.sanity import meant_by
 from farfield.training.augmentation import LAG, Points, Progress, RollingBank, augment, cut_out
 from farfield.training.config import UNCHANGED, AugmentationConfig
 from farfield.training.method import LABELLED, Batch, Stream
-from farfield.training.weather import WeatherOverlay, check_weather, draw_laid, read_with
+from farfield.training.weather import WeatherOverlay, check_weather, draw_weather, read_with
+from farfield.vocabulary.classes import closest_class
 
-_ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # words of the generators; 4 and 5 are the loop's and the methods'
+_ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # keys of the generators; 4 and 5 are the loop's and the methods'
 _LOOKED_AT, _LEAST_BOXES = 10, 20  # frames in which no box has points, and their boxes, that stop a training
 _FIRST = ("x_m", "y_m", "z_m", "lag_s")
 
@@ -131,8 +131,8 @@ class TrainingSamples(TorchDataset[TrainingSample]):
                 f"{name}: expected at least two clouds a frame, such as clouds: [gaussian, uniform], for samples that "
                 f"come {self.stream.members}; got {', '.join(self.bindings[0].values())}."
             )
-        self.read = {name: read_with(each, self.augmentation.weather) for name, each in self.inputs.items()}
-        self.columns = tuple(dict.fromkeys([*_FIRST, *(c for each in self.read.values() for c in each)]))
+        self.read = {name: read_with(cloud, self.augmentation.weather) for name, cloud in self.inputs.items()}
+        self.columns = tuple(dict.fromkeys([*_FIRST, *(c for columns in self.read.values() for c in columns)]))
         check_weather(self.augmentation.weather, self.inputs)
         self._weights: np.ndarray | None = None
         self._set_up()
@@ -140,7 +140,7 @@ class TrainingSamples(TorchDataset[TrainingSample]):
     def _set_up(self) -> None:
         """Make what cannot travel to another process."""
         self._order = lru_cache(maxsize=2)(self._epoch)
-        self._last = lru_cache(maxsize=1)(self._changed)
+        self._last = lru_cache(maxsize=1)(self._augmented)
         self._bank_order = lru_cache(maxsize=4)(self._bank_epoch)
         self._bank = None
         if self.augmentation.pasted:
@@ -162,28 +162,34 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         """Numbers that :meth:`load` takes."""
         return len(self.data) if self._joint else self.epoch_length
 
-    def _generator(self, *words: int) -> np.random.Generator:
+    def _generator(self, purpose: int, number: int) -> np.random.Generator:
         """The generator of a purpose and a number; each stream has generators of its own."""
-        if self.name != LABELLED:
-            digest = hashlib.sha256(self.name.encode()).digest()
-            words = (words[0], int.from_bytes(digest[:8], "little"), *words[1:])
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words))
+        digest = hashlib.sha256(self.name.encode()).digest()
+        stream = () if self.name == LABELLED else (int.from_bytes(digest[:8], "little"),)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(purpose, *stream, number)))
 
     def load(self, number: int) -> tuple[Points, Boxes]:
         """The unchanged points and boxes of sample ``number`` of an epoch in order; of a paired stream, of a frame.
 
         The points of all inputs, and of all samples of a pair, stand in one table: x, y, z, lag, the other columns that
-        the inputs read, and the number of the input, of the sample, that a point belongs to.
+        the inputs read, zero where a point's input does not read them, and the number of the input, of the sample, that
+        a point belongs to.
         """
-        each = len(self.bindings)
-        frame, bound = (number, self.bindings) if self._joint else (number // each, [self.bindings[number % each]])
-        record = self.data[frame]
-        sources = [(name, binding[name]) for binding in bound for name in self.inputs]
-        tables = [self._rows(record, part, name, cloud) for part, (name, cloud) in enumerate(sources)]
+        count = len(self.bindings)
+        index, bound = (number, self.bindings) if self._joint else (number // count, [self.bindings[number % count]])
+        frame = self.data[index]
+        tables = []
+        for part, (name, cloud) in enumerate((name, binding[name]) for binding in bound for name in self.inputs):
+            columns = tuple(dict.fromkeys([*_FIRST, *self.read[name]]))
+            rows = cloud_tensor(frame.cloud(cloud), columns).numpy()
+            table = np.zeros((len(rows), len(self.columns) + 1), dtype=np.float32)
+            table[:, [self.columns.index(column) for column in columns]] = rows
+            table[:, -1] = part
+            tables.append(table)
         points = np.concatenate(tables, dtype=np.float32)
         if not self.labelled:
             return points, Boxes.empty()
-        return points, self._filled(points, self._wanted(record.annotation, record.key))
+        return points, self._filled(points, self._trained_boxes(frame.annotation, frame.key))
 
     def _filled(self, points: Points, boxes: Boxes) -> Boxes:
         """The boxes that hold enough points of the present sweep."""
@@ -191,16 +197,7 @@ class TrainingSamples(TorchDataset[TrainingSample]):
             boxes = boxes[_count(points, boxes) >= self.min_points]
         return boxes
 
-    def _rows(self, frame: Frame, part: int, name: str, cloud: str) -> Points:
-        """The points of an input in the columns of all of them, zero where the input does not read one."""
-        columns = tuple(dict.fromkeys([*_FIRST, *self.read[name]]))
-        rows = cloud_tensor(frame.cloud(cloud), columns).numpy()
-        table = np.zeros((len(rows), len(self.columns) + 1), dtype=np.float32)
-        table[:, [self.columns.index(column) for column in columns]] = rows
-        table[:, -1] = part
-        return table
-
-    def _wanted(self, annotation: Annotation | None, key: Key) -> Boxes:
+    def _trained_boxes(self, annotation: Annotation | None, key: Key) -> Boxes:
         """A frame's boxes of the classes that are trained.
 
         Raises:
@@ -220,8 +217,8 @@ class TrainingSamples(TorchDataset[TrainingSample]):
     def _bank_epoch(self, epoch: int) -> np.ndarray:
         return self._generator(_BANK, epoch).permutation(self._loads)
 
-    def _bank_number(self, place: int) -> int:
-        return int(self._bank_order(place // self._loads)[place % self._loads])
+    def _bank_number(self, position: int) -> int:
+        return int(self._bank_order(position // self._loads)[position % self._loads])
 
     def prepare(self, position: int = 0, progress: Progress = iter) -> None:
         """Read what the sample at ``position`` needs besides its frame; without this the first sample does it.
@@ -241,27 +238,28 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         Raises:
             DatasetError: If there is none, or none of the first ones holds a point.
         """
-        met: dict[str, int] = {}
-        boxes = looked = filled = 0
+        others: dict[str, int] = {}
+        box_count = frame_count = filled_count = 0
         for index, key in enumerate(self.data.keys):
             annotation = self.data.annotation(index)
-            wanted = self._wanted(annotation, key)
-            if annotation is not None and not len(wanted):
+            boxes = self._trained_boxes(annotation, key)
+            if annotation is not None and not len(boxes):
                 for name in np.asarray(annotation.boxes.label).tolist():
-                    met[str(name)] = met.get(str(name), 0) + 1
+                    others[str(name)] = others.get(str(name), 0) + 1
                 continue
-            points, boxes_of = self.load(index if self._joint else index * len(self.bindings))
-            filled += len(boxes_of)
-            del points
-            boxes, looked = boxes + len(wanted), looked + 1
-            if filled or looked >= _LOOKED_AT:
+            _, filled = self.load(index if self._joint else index * len(self.bindings))
+            filled_count += len(filled)
+            box_count += len(boxes)
+            frame_count += 1
+            if filled_count or frame_count >= _LOOKED_AT:
                 break
-        if not boxes:
-            raise no_boxes(self.data, self.name, self.classes, met)
-        if not filled and boxes >= _LEAST_BOXES:
+        if not box_count:
+            raise no_boxes(self.data, self.name, self.classes, others)
+        if not filled_count and box_count >= _LEAST_BOXES:
             raise DatasetError(
-                f"{self.data.root}: expected boxes with at least {self.min_points} points, found none among {boxes} "
-                f"boxes of {looked} frames: boxes and points do not lie in one place. farfield doctor DATA says how"
+                f"{self.data.root}: expected boxes with at least {self.min_points} points, found none among "
+                f"{box_count} boxes of {frame_count} frames: boxes and points do not lie in one place. "
+                "farfield doctor DATA says how"
             )
 
     def _weigh(self, progress: Progress = iter) -> np.ndarray | None:
@@ -269,7 +267,7 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         if self._weights is None and self.far_sampling > 0:
             far = np.zeros(len(self.data), dtype=np.float64)
             for index in progress(range(len(self.data))):
-                boxes = self._wanted(self.data.annotation(index), self.data.keys[index])  # no frame is built
+                boxes = self._trained_boxes(self.data.annotation(index), self.data.keys[index])  # no frame is built
                 far[index] = np.count_nonzero(np.hypot(*boxes.centre_m[:, :2].T) >= self.far_from_m)
             weight = 1 + self.far_sampling * far / max(float(far.mean()), 1e-9)
             self._weights = np.repeat(weight, len(self.bindings))
@@ -277,13 +275,13 @@ class TrainingSamples(TorchDataset[TrainingSample]):
 
     def _epoch(self, epoch: int) -> np.ndarray:
         """The samples of an epoch in their order, shape (epoch_length,)."""
-        rng, weight, each = self._generator(_ORDER, epoch), self._weigh(), len(self.bindings)
+        rng, weight, count = self._generator(_ORDER, epoch), self._weigh(), len(self.bindings)
         if self.stream.members == "mixed":
             return _drawn(self.epoch_length, weight, rng)
-        frame_weight = None if weight is None else weight[::each]
+        frame_weight = None if weight is None else weight[::count]
         if self._joint:
             return _drawn(len(self.data), frame_weight, rng)
-        members = [_drawn(len(self.data), frame_weight, rng) * each + member for member in range(each)]
+        members = [_drawn(len(self.data), frame_weight, rng) * count + member for member in range(count)]
         return np.stack(members, axis=1).reshape(-1)
 
     def __len__(self) -> int:
@@ -298,36 +296,32 @@ class TrainingSamples(TorchDataset[TrainingSample]):
             points[:, -1] -= member * len(self.inputs)
             boxes = self._filled(points, boxes)
         else:
-            points, boxes = self._changed(position)
-        inputs = self._split(points)
+            points, boxes = self._augmented(position)
+        inputs = {}
+        for part, (name, cloud) in enumerate(self.inputs.items()):
+            rows = points if len(self.inputs) == 1 else points[points[:, -1] == part]
+            chosen = rows[:, [self.columns.index(column) for column in cloud.columns]]
+            inputs[name] = np.ascontiguousarray(chosen, dtype=np.float32)
         targets = self.assigner(boxes, inputs) if self.labelled else None
-        wanted = boxes.replace(point_count=_count(points, boxes)) if self.stream.boxes else None
-        return TrainingSample({name: torch.from_numpy(rows) for name, rows in inputs.items()}, targets, wanted)
+        counted = boxes.replace(point_count=_count(points, boxes)) if self.stream.boxes else None
+        return TrainingSample({name: torch.from_numpy(rows) for name, rows in inputs.items()}, targets, counted)
 
-    def _changed(self, unit: int) -> tuple[Points, Boxes]:
+    def _augmented(self, unit: int) -> tuple[Points, Boxes]:
         """Points and boxes at a position, or of a pair, after the random changes."""
-        epoch, place = divmod(unit, self._loads)
-        points, boxes = self.load(int(self._order(epoch)[place]))
+        epoch, index = divmod(unit, self._loads)
+        points, boxes = self.load(int(self._order(epoch)[index]))
         bank = None if self._bank is None else self._bank.at(unit * self.together if self._joint else unit)
-        return augment(points, boxes, self.augmentation, self._generator(_CHANGES, unit), bank, self._laying(unit))
+        weather = self._weather(unit)
+        return augment(points, boxes, self.augmentation, self._generator(_CHANGES, unit), bank, weather)
 
-    def _laying(self, unit: int) -> WeatherOverlay | None:
+    def _weather(self, unit: int) -> WeatherOverlay | None:
         """What lays weather over the frame at a position, or over a pair; None where it stays as it is."""
         config = self.augmentation.weather
         if config is None:
             return None
         rng = self._generator(_WEATHER, unit)
-        laid = draw_laid(config, rng)
-        return None if laid is None else WeatherOverlay(config, self.columns, tuple(self.read.values()), laid, rng)
-
-    def _split(self, points: Points) -> dict[str, Points]:
-        """The table of :meth:`load` as the network's inputs, each with just its own columns."""
-        parts = {}
-        for part, (name, each) in enumerate(self.inputs.items()):
-            rows = points if len(self.inputs) == 1 else points[points[:, -1] == part]
-            chosen = rows[:, [self.columns.index(column) for column in each.columns]]
-            parts[name] = np.ascontiguousarray(chosen, dtype=np.float32)
-        return parts
+        drawn = draw_weather(config, rng)
+        return None if drawn is None else WeatherOverlay(config, self.columns, tuple(self.read.values()), drawn, rng)
 
     def __getstate__(self) -> dict[str, Any]:
         made = ("_order", "_last", "_bank_order", "_bank")
@@ -338,24 +332,26 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         self._set_up()
 
 
-def no_boxes(data: Dataset, stream: str, classes: Sequence[str], met: Mapping[str, int]) -> DatasetError:
-    """What to say of frames without one box of the trained classes.
+def no_boxes(data: Dataset, stream: str, classes: Sequence[str], others: Mapping[str, int]) -> DatasetError:
+    """The error of frames without one box of the trained classes.
 
     Args:
         data: The frames.
         stream: Name of the stream.
         classes: The trained classes.
-        met: The classes that were met, after aliases, with their numbers.
+        others: The classes that there are, with the number of their boxes.
     """
-    shown = ", ".join(f"{name} ({count})" for name, count in met.items()) or "no box at all"
-    pairs = {name: meant for name in met if (meant := meant_by(name, classes))}
-    pairs = pairs or dict.fromkeys(list(met)[:1], classes[0] if classes else "")
-    words = ", ".join(f"{name}: {meant}" for name, meant in pairs.items())
-    place = "data" if stream == LABELLED else f"data.{stream}"
-    mend = f" Say which is meant: -o '{place}.aliases={{{words}}}', or train them: detector.class_names" if met else ""
+    shown = ", ".join(f"{name} ({count})" for name, count in others.items()) or "no box at all"
+    pairs = {name: meant for name in others if (meant := closest_class(name, classes))}
+    pairs = pairs or dict.fromkeys(list(others)[:1], classes[0] if classes else "")
+    aliases = ", ".join(f"{name}: {meant}" for name, meant in pairs.items())
+    key = "data" if stream == LABELLED else f"data.{stream}"
+    fix = (
+        f" Say which is meant: -o '{key}.aliases={{{aliases}}}', or train them: detector.class_names" if others else ""
+    )
     return DatasetError(
         f"{data.root}: expected boxes of the trained classes {', '.join(classes)}, found none in {len(data)} frames; "
-        f"there are: {shown}.{mend}"
+        f"there are: {shown}.{fix if others else ''}"
     )
 
 
@@ -382,7 +378,7 @@ def systematic(weight: Float[np.ndarray, " n"], rng: np.random.Generator) -> Int
 
 # Batches of several streams of samples, from one loader
 
-Place = tuple[str, int]
+Position = tuple[str, int]
 """Name of a stream and a position in it."""
 
 
@@ -395,9 +391,9 @@ class StreamSamples(TorchDataset[TrainingSample]):
     def __len__(self) -> int:
         return sum(map(len, self.streams.values()))
 
-    def __getitem__(self, place: Place) -> TrainingSample:
+    def __getitem__(self, stream_position: Position) -> TrainingSample:
         """The sample at a position of a stream."""
-        name, position = place
+        name, position = stream_position
         return self.streams[name][position]
 
 
@@ -461,17 +457,16 @@ def batches(
         world: Number of processes.
         pinned: Put tensors into pinned memory, from which copies to a GPU need not be waited for.
     """
-    places = [
-        [
-            (name, position)
-            for name, count in counts.items()
-            for position in _positions(step, count, streams[name].together, rank, world)
-        ]
-        for step in range(first_step, steps)
-    ]
+    positions: list[list[Position]] = []
+    for step in range(first_step, steps):
+        positions.append([])
+        for name, count in counts.items():
+            together = streams[name].together
+            units = range(step * count // together + rank, (step + 1) * count // together, world)
+            positions[-1] += [(name, unit * together + member) for unit in units for member in range(together)]
     loader: DataLoader[TrainingSample] = DataLoader(
         StreamSamples(streams),
-        batch_sampler=places,
+        batch_sampler=positions,
         num_workers=workers,
         collate_fn=partial(_by_stream, {name: count // world for name, count in counts.items()}),
         worker_init_fn=_one_thread,
@@ -479,12 +474,6 @@ def batches(
         pin_memory=pinned,
     )
     return iter(loader)
-
-
-def _positions(step: int, count: int, together: int, rank: int, world: int) -> list[int]:
-    """Positions of a step's samples of a stream that belong to a process."""
-    units = range(step * count // together + rank, (step + 1) * count // together, world)
-    return [unit * together + member for unit in units for member in range(together)]
 
 
 def _by_stream(counts: Mapping[str, int], samples: Iterable[TrainingSample]) -> dict[str, list[TrainingSample]]:

@@ -28,7 +28,7 @@ _STEPS = 8  # rates are drawn from so many, so that the tables of drops and flak
 _RATES = ("rain_mm_h", "snow_mm_h", "fog_m", "coverage", "film_mm")
 
 
-def draw_laid(config: WeatherConfig, rng: np.random.Generator) -> OverlaidWeather | None:
+def draw_weather(config: WeatherConfig, rng: np.random.Generator) -> OverlaidWeather | None:
     """Draw what is laid over a frame; None for the frames that stay as they are."""
     if rng.random() >= config.probability:
         return None

@@ -4,7 +4,8 @@ Cirrus, section III: vehicle, large vehicle, pedestrian, bicycle, animal, wheele
 ``unknown`` stands for annotated objects without a class.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 
 CIRRUS_CLASSES = (
     "vehicle",
@@ -217,3 +218,18 @@ def unit_of_sizes(longest: float) -> str:
     """
     unit = "millimetres" if longest > 1500 else "centimetres" if longest > 35 else ""
     return "kilometres or another large unit" if longest < 0.05 else unit
+
+
+def closest_class(name: str, names: Iterable[str]) -> str:
+    """The class that a name may be meant for; empty where none is like it.
+
+    >>> closest_class("Car", ["vehicle", "pedestrian"]), closest_class("vehicel", ["vehicle"])
+    ('vehicle', 'vehicle')
+    >>> closest_class("LKW", ["vehicle"])
+    ''
+    """
+    by_plain = {other.lower(): other for other in names}
+    ours = normalised_class(name, {})
+    same = [other for other in by_plain.values() if normalised_class(other, {}) == ours != "unknown"]
+    close = get_close_matches(name.lower(), list(by_plain), n=1, cutoff=0.75)
+    return by_plain.get(name.lower()) or (same[0] if same else by_plain[close[0]] if close else "")

@@ -59,6 +59,31 @@ WEIGHTS, PAGE, SCORES = "weights.safetensors", "report.html", "scores.json"
 _OURS = re.compile(rf"{SETTLED}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
 
 
+@dataclass(frozen=True, kw_only=True)
+class AdaptationResult:
+    """What an adaptation left.
+
+    Args:
+        folder: Its folder; ``load_detector`` takes it.
+        weights: The adapted weights.
+        page: What changed, one self-contained page.
+        before: What the detector found in the target before.
+        after: What it finds now.
+        settled: Thresholds and steps.
+        signs: Failure modes that the logs show, one sentence each.
+        scores: Scores on labelled frames that were not learnt from; None where none were given.
+    """
+
+    folder: Path
+    weights: Path
+    page: Path
+    before: Detections
+    after: Detections
+    settled: CalibratedThresholds
+    signs: tuple[str, ...] = ()
+    scores: HeldScores | None = None
+
+
 def adapt(
     detector: str | Path,
     data: Path | str | Dataset,
@@ -135,7 +160,7 @@ def _job(
     bulk: JobOptions | None,
     report: TrainingReport | None,
     choices: Mapping[str, Any],
-) -> AdaptationJob:
+) -> "AdaptationJob":
     """The work, checked; nothing is written."""
     began = time.monotonic()
     job = AdaptationJob(
@@ -178,31 +203,6 @@ def check_folder(folder: Path) -> None:
             f"{folder}: expected an empty or absent folder, or one that farfield adapt began; it holds "
             f"{', '.join(strange[:4])}. Name another folder with --out."
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdaptationResult:
-    """What an adaptation left.
-
-    Args:
-        folder: Its folder; ``load_detector`` takes it.
-        weights: The adapted weights.
-        page: What changed, one self-contained page.
-        before: What the detector found in the target before.
-        after: What it finds now.
-        settled: Thresholds and steps.
-        signs: Failure modes that the logs show, one sentence each.
-        scores: Scores on labelled frames that were not learnt from; None where none were given.
-    """
-
-    folder: Path
-    weights: Path
-    page: Path
-    before: Detections
-    after: Detections
-    settled: CalibratedThresholds
-    signs: tuple[str, ...] = ()
-    scores: HeldScores | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

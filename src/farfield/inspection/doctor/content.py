@@ -13,8 +13,7 @@ from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud
 from farfield.inspection.doctor.conventions import count_points, ground_height_m
 from farfield.inspection.doctor.survey import Finding, Survey, counted
-from farfield.metrics.sanity import meant_by
-from farfield.vocabulary.classes import CIRRUS_CLASSES, normalised_class, unit_of_sizes
+from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class, normalised_class, unit_of_sizes
 
 _LARGEST_VALUE, _MOST_RINGS, _RING_NAMES = 1e20, 1024, ("ring", "laser", "line", "channel")
 RANGE_BINS_M = (0.0, 70.0, 150.0, 250.0, np.inf)
@@ -159,7 +158,7 @@ def _own_names(table: Mapping[str, Mapping[str, int]], *, in_folder: bool) -> It
     if not strange:
         return
     vocabulary = [name for name in CIRRUS_CLASSES if name != "unknown"]
-    meant = {label: guess for label in strange if (guess := meant_by(label, vocabulary))}
+    meant = {label: guess for label in strange if (guess := closest_class(label, vocabulary))}
     shown = ", ".join(f"{label!r} ({count})" for label, count in list(strange.items())[:8])
     example = meant or {next(iter(strange)): vocabulary[0]}
     pairs = ", ".join(f"{label}: {guess}" for label, guess in example.items())
