@@ -14,7 +14,7 @@ from farfield.papers.jobs import TrainingJob
 from farfield.papers.places import DataLocation
 from farfield.papers.running import WEIGHTS
 from farfield.training.config import WeatherConfig
-from farfield.training.weather import draw_laid, holding, lay_over
+from farfield.training.weather import draw_weather, holding, lay_over
 
 _COLUMNS = ("x_m", "y_m", "z_m", "intensity")
 _SEED = 1065
@@ -75,7 +75,7 @@ def _found_in_weather(
     always = config.model_copy(update={"probability": 1.0})
     for number in range(len(data)):
         frame, rng = data[number], np.random.default_rng((_SEED, number))
-        laid, boxes = draw_laid(always, rng), frame.boxes
+        laid, boxes = draw_weather(always, rng), frame.boxes
         if laid is None or boxes is None:
             continue
         rows = np.column_stack([frame.cloud(cloud).column(name) for name in _COLUMNS])
