@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.adaptation.thresholds import thresholds_of
 from farfield.detectors.runtime import Detector
 from farfield.evaluation import as_trained, detect
 from farfield.frame import Boxes, Cloud, Frame, Key
+from farfield.metrics.score_calibration import thresholds_of
 from farfield.papers.jobs import TrainingJob
 from farfield.papers.places import DataLocation
 from farfield.papers.running import WEIGHTS

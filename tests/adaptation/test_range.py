@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch")
 
 from small import batch_of, small_detector
 
-from farfield.adaptation.adversarial import by_coin
+from farfield.adaptation.adversarial import shuffled_domains
 from farfield.adaptation.cells import Cells
 from farfield.adaptation.range import RangeAdaptation, RangeSettings, draw_windows, local_error
 from farfield.detectors.weights import load_weights
@@ -132,7 +132,7 @@ def test_the_local_loss_is_that_worked_out_by_hand_and_stops_at_near_features() 
 def test_a_coin_exchanges_both_domains_of_whole_frames() -> None:
     frame = torch.arange(64).repeat_interleave(2)
     domain = torch.tensor([0.0, 1.0]).repeat(64)
-    coined = by_coin(domain, frame, np.random.default_rng(0)).view(64, 2)
+    coined = shuffled_domains(domain, frame, np.random.default_rng(0)).view(64, 2)
     assert torch.equal(coined.sum(1), torch.ones(64))
     assert 16 < int(coined[:, 0].sum()) < 48
 

@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from small import batch_of, small_detector
 
-from farfield.adaptation.pseudo_labels import PseudoLabels, StrongAugmentation, sorted_by_score, strong_view, targets_of
+from farfield.adaptation.pseudo_labels import PseudoLabels, StrongAugmentation, split_by_score, strong_view, targets_of
 from farfield.adaptation.teacher import MeanTeacher, TeacherSettings
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError, FarfieldError
@@ -168,10 +168,10 @@ def boxes_at(*x: float, score: tuple[float, ...] | None = None) -> Boxes:
 
 
 def test_middling_boxes_are_ignored() -> None:
-    found = sorted_by_score(boxes_at(10, 20, 30, 40, score=(0.9, 0.6, 0.25, 0.2)), 0.6, 0.25)
-    assert found.sure.centre_m[:, 0].tolist() == [10, 20]
-    assert found.unsure.centre_m[:, 0].tolist() == [30]
-    assert found.sure.score is None
+    found = split_by_score(boxes_at(10, 20, 30, 40, score=(0.9, 0.6, 0.25, 0.2)), 0.6, 0.25)
+    assert found.confident.centre_m[:, 0].tolist() == [10, 20]
+    assert found.ignored.centre_m[:, 0].tolist() == [30]
+    assert found.confident.score is None
 
 
 @pytest.mark.parametrize("detector", ["pointpillars", "second", "voxelnet", "sparsecentre", "rtn", "rtnh"])
@@ -206,7 +206,7 @@ def test_the_strong_view_moves_points_and_boxes_alike() -> None:
     cloud = torch.from_numpy(np.column_stack([boxes.centre_m, np.ones(2)])).float()
     view = strong_view(batch_of(cloud), [change], 0.0, rng)["points"][0]
     moved = PseudoLabels(boxes, boxes[:1]).moved(change)
-    np.testing.assert_allclose(view[:, :3].numpy(), moved.sure.centre_m, atol=1e-5)
+    np.testing.assert_allclose(view[:, :3].numpy(), moved.confident.centre_m, atol=1e-5)
     assert view[:, 3].tolist() == [1.0, 1.0]
     with torch.autocast("cpu", torch.bfloat16):
         again = strong_view(batch_of(cloud), [change], 0.0, rng)["points"][0]
@@ -219,5 +219,5 @@ def test_the_strong_view_moves_points_and_boxes_alike() -> None:
 def test_pointrcnn_has_nothing_that_is_ignored() -> None:
     network = small_detector("pointrcnn")
     cloud = torch.rand(100, len(network.inputs["points"].columns))
-    with pytest.raises(ConfigError, match="targets that can ignore unsure boxes"):
+    with pytest.raises(ConfigError, match="targets that can ignore boxes"):
         targets_of(network.assigner, PseudoLabels(boxes_at(), boxes_at()), {"points": cloud})

@@ -40,7 +40,7 @@ def test_the_lidar_is_to_be_named(planned: Any, start: Any) -> None:  # noqa: F8
         run(planned, "unnamed", method_of(weights, strong={"weather": {"probability": 1.0}}))
 
 
-def test_sure_boxes_that_lose_all_their_points_become_unsure() -> None:
+def test_confident_boxes_that_lose_all_their_points_are_ignored() -> None:
     """Opaque ice over the whole front: ahead all is lost, behind nothing."""
     config = WeatherConfig(
         probability=1.0, kinds=("ice",), sensor="os2-64", coverage=(1.0, 1.0), transmission=(1e-6, 1e-6)
@@ -54,10 +54,10 @@ def test_sure_boxes_that_lose_all_their_points_become_unsure() -> None:
     clouds, (one, two) = in_weather(inputs, found, {"points": ("x_m", "y_m", "z_m")}, config, rng)
     assert [len(each) for each in clouds["points"]] == [30, 30]
     assert all((each[:, 0] < 0).all() for each in clouds["points"])
-    assert one.sure.centre_m[:, 0].tolist() == [-20.0]
-    assert one.unsure.centre_m[:, 0].tolist() == [20.0]
-    assert len(two.sure) == 0
-    assert len(two.unsure) == 2
+    assert one.confident.centre_m[:, 0].tolist() == [-20.0]
+    assert one.ignored.centre_m[:, 0].tolist() == [20.0]
+    assert len(two.confident) == 0
+    assert len(two.ignored) == 2
     assert len(inputs["points"][0]) == 60  # the teacher's view stays as it is
 
 

@@ -13,9 +13,9 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("embreex")
 
-from farfield.adaptation import thresholds
 from farfield.cli import main
 from farfield.cli.adapt import run
+from farfield.metrics import score_calibration
 
 EXPERIMENT = """
 name: tiny
@@ -32,8 +32,8 @@ def test_a_trained_detector_is_adapted_by_one_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(thresholds, "POSITIVE", 0.001)  # what has learnt next to nothing finds something
-    monkeypatch.setattr(thresholds, "NEGATIVE", 0.0)
+    monkeypatch.setattr(score_calibration, "POSITIVE", 0.001)  # what has learnt next to nothing finds something
+    monkeypatch.setattr(score_calibration, "NEGATIVE", 0.0)
     Path("tiny.yaml").write_text(EXPERIMENT)
     assert main(["train", "tiny.yaml"]) == 0
     words = ["adapt", "runs/tiny", "data", "--source-frames", "1", "--steps", "2", "--rounds", "2", *QUICK]

@@ -22,7 +22,6 @@ sys.path.append(str(Path(__file__).parents[1] / "detectors"))  # the small detec
 from small import SMALL, small_detector
 
 import farfield as ff
-from farfield.adaptation import thresholds
 from farfield.datasets import Dataset, open_dataset
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError, FarfieldError
@@ -35,6 +34,7 @@ from farfield.experiments.frames import spread
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import Experiment, experiment_of
 from farfield.frame import Annotation, Boxes, Constant, Frame
+from farfield.metrics import score_calibration
 
 EAGER = {"score_threshold": 0.0, "max_boxes": 20, "candidates": 20}  # a network that has learnt nothing finds something
 QUICK = ("training.workers=0", "training.precision=fp32", "training.threads=1", "training.log_every_steps=1")
@@ -63,8 +63,8 @@ def start(simulated_cirrus: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 @pytest.fixture
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the scores of a network that has learnt next to nothing be sure ones."""
-    monkeypatch.setattr(thresholds, "POSITIVE", 0.001)
-    monkeypatch.setattr(thresholds, "NEGATIVE", 0.0)
+    monkeypatch.setattr(score_calibration, "POSITIVE", 0.001)
+    monkeypatch.setattr(score_calibration, "NEGATIVE", 0.0)
 
 
 def tensors_of(path: Path) -> dict[str, Any]:
@@ -214,7 +214,7 @@ def test_what_cannot_be_adapted_is_refused_before_anything_is_written(
         ("no-such-weights", "Expected a bundled detector"),
         (nameless, "nameless.safetensors says nothing"),
         (real, r"learnt from a real data set \(kitti\).*--source DATA"),
-        (points, "targets that can ignore unsure boxes"),
+        (points, "targets that can ignore boxes"),
     ):
         with pytest.raises(FarfieldError, match=message):
             ff.adapt(detector, simulated_cirrus, out=out, **TINY)
@@ -352,9 +352,9 @@ RUN = """
 import sys
 from pathlib import Path
 import farfield as ff
-from farfield.adaptation import thresholds
+from farfield.metrics import score_calibration
 
-thresholds.POSITIVE, thresholds.NEGATIVE = 0.001, 0.0
+score_calibration.POSITIVE, score_calibration.NEGATIVE = 0.001, 0.0
 ff.adapt(sys.argv[1], sys.argv[2], out=sys.argv[3], steps=30, rounds=2, source_frames=2, overrides=tuple(sys.argv[4:]))
 """
 

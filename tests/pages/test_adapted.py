@@ -86,7 +86,7 @@ def test_scores_stand_on_the_page_with_their_intervals(page: AdaptedPage) -> Non
 def test_rates_count_by_class_range_and_threshold(page: AdaptedPage) -> None:
     found = rates(page.before, page)
     assert found.shape == (2, 2, 2)
-    assert found[0].tolist() == [[1.0, 0.0], [0.0, 0.5]]  # sure and unsure: near, far; 300 m is beyond the edges
+    assert found[0].tolist() == [[1.0, 0.0], [0.0, 0.5]]  # confident and ignored: near, far; 300 m is beyond the edges
     assert found[1].sum() == 0
 
 
@@ -94,11 +94,11 @@ def test_the_page_shows_rates_thresholds_pictures_and_signs(page: AdaptedPage) -
     text = render_adapted(page)
     for words in (
         "mine adapted to &lt;theirs&gt;",
-        "1.0 sure boxes a sweep before, 2.0 after",
+        "1.0 confident boxes a sweep before, 2.0 after",
         "has 7.2",
         "0.00 → 1.00",
         "the literature: too few in the source",
-        "1 sure boxes before, 2 after.",
+        "1 confident boxes before, 2 after.",
         "Annotated boxes are drawn too; they were not used.",
         "The source frames are simulated, the target&#39;s are recorded.",
         "the rank falls",

@@ -37,7 +37,7 @@ def test_axes_are_those_of_most_variance_whatever_the_unit() -> None:
 
 
 def test_features_are_those_of_cells_with_points() -> None:
-    from farfield.adaptation.probes import features_seen
+    from farfield.adaptation.probes import occupied_features
 
     config = DETECTORS["pointpillars"].config_class(
         grid={"range_m": 32.0, "half_width_m": 8.0, "cell_m": 0.5}, widths=(8, 8, 8), depths=(0, 0, 0), neck_width=8
@@ -45,7 +45,7 @@ def test_features_are_those_of_cells_with_points() -> None:
     detector = Detector(build_detector(config, seed=0), precision="fp32")
     points = np.array([[5.2, 0.1, 0.0], [5.3, 0.1, 0.0], [20.2, -3.1, 0.0]], dtype=np.float32)
     frame = Frame.of(Cloud(points, np.zeros(3, dtype=np.float32)), Annotation(boxes=Boxes.empty()))
-    seen = features_seen(detector, [frame, frame], next(iter(frame.clouds)))
+    seen = occupied_features(detector, [frame, frame], next(iter(frame.clouds)))
     assert seen.values.shape == (4, detector.network.channels)
     assert seen.frame.tolist() == [0, 0, 1, 1]
     assert sorted(set(np.round(seen.range_m).tolist())) == pytest.approx([5.0, 20.0], abs=2.0)

@@ -150,7 +150,7 @@ def balanced_accuracy(logits: Tensor, domain: Tensor) -> Tensor:
     return (near / all_near + far / all_far) / 2
 
 
-def by_coin(domain: Tensor, frame: Tensor, rng: np.random.Generator) -> Tensor:
+def shuffled_domains(domain: Tensor, frame: Tensor, rng: np.random.Generator) -> Tensor:
     """The domains with both exchanged in each frame for which a coin falls so: what a control is trained on."""
     coins = rng.random(int(frame.max()) + 1 if len(frame) else 0) < 0.5
     exchanged = torch.from_numpy(coins).to(frame.device)[frame]
@@ -213,7 +213,7 @@ class AdversarialLoss:
             rng: Throws the coins of the control.
         """
         strength = self.settings.lambda_max * scheduled
-        logits = torch.cat([logits_of(self.judge, *each, strength) for each in (source, target)])
+        logits = torch.cat([logits_of(self.judge, *domain_cells, strength) for domain_cells in (source, target)])
         domain = torch.ones_like(logits)
         domain[: len(source[1])] = 0.0
         frame = torch.cat([source[1].frame, len(source[0]) + target[1].frame])
@@ -230,7 +230,7 @@ class AdversarialLoss:
         weight: Tensor | None,
     ) -> Tensor:
         settings = self.settings
-        truth = domain if settings.labels == "domain" else by_coin(domain, frame, rng)
+        truth = domain if settings.labels == "domain" else shuffled_domains(domain, frame, rng)
         self.noted |= {
             "lambda": strength,
             "discriminator_accuracy": balanced_accuracy(logits, truth),

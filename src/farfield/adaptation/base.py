@@ -23,10 +23,10 @@ from farfield.training.method import DETECTOR, Batch, Method
 HELD_OUT: Any = Field(
     0,
     ge=0,
-    description="frames of each stream that are not trained on: at each tenth of the run the domains are told there",
+    description="frames of each stream that are not trained on: each tenth of the run compares the domains there",
 )
 """The setting of that name, which every method has."""
-_DRAWS = 5  # word of the generators, after those of the samples and the loop
+_DRAWS = 5  # key of the generators, after those of the samples and the loop
 _MEASURED = 50  # times in a training that gradients are measured
 
 
@@ -54,8 +54,8 @@ class Adaptation(Method):
     def generator(self, step: int, *, shared: bool = False) -> np.random.Generator:
         """The generator of a step: of this process, or one that all processes share."""
         rank = distributed.get_rank() if process_count() > 1 else 0
-        words = (_DRAWS, step) if shared else (_DRAWS, step, rank)
-        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=words))
+        key = (_DRAWS, step) if shared else (_DRAWS, step, rank)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     def reader(self, stream: str) -> nn.Module:
         """The network that reads a stream's held-out frames."""
@@ -107,13 +107,13 @@ class Adaptation(Method):
 
     def figures(self) -> Mapping[str, float]:
         """The figures of the last step, and the spread of the features that it kept by domain."""
-        found: dict[str, float] = {}
+        figures: dict[str, float] = {}
         for name, value in self.noted.items():
             if isinstance(value, Tensor) and value.ndim == 2:
-                found |= {f"variance_{name}": mean_variance(value), f"rank_{name}": effective_rank(value)}
+                figures |= {f"variance_{name}": mean_variance(value), f"rank_{name}": effective_rank(value)}
             elif math.isfinite(float(value)):  # JSON has no NaN: what could not be measured is left out
-                found[name] = float(value)
-        return found
+                figures[name] = float(value)
+        return figures
 
 
 @torch.no_grad()
@@ -156,16 +156,16 @@ def start_from(network: Network, weights: Path | str, method: str) -> None:
         FarfieldError: If there are none.
     """
     trained, _ = load_weights(resolve_weights(weights))
-    own, theirs = network.state_dict(), trained.state_dict()
-    wrong = sorted(
+    own_state, trained_state = network.state_dict(), trained.state_dict()
+    different = sorted(
         name
-        for name in own.keys() | theirs.keys()
-        if name not in own or name not in theirs or own[name].shape != theirs[name].shape
+        for name in own_state.keys() | trained_state.keys()
+        if name not in own_state or name not in trained_state or own_state[name].shape != trained_state[name].shape
     )
-    if wrong:
+    if different:
         raise ConfigError(
             f"method {method}: expected the weights {weights} to be those of the experiment's detector "
-            f"({network.config.name}); {len(wrong)} tensors differ, first {wrong[0]}. Copy the detector's settings "
-            "from the run that made them."
+            f"({network.config.name}); {len(different)} tensors differ, first {different[0]}. Copy the detector's "
+            "settings from the run that made them."
         )
-    network.load_state_dict(theirs)
+    network.load_state_dict(trained_state)

@@ -64,23 +64,23 @@ def occupied(features: Features, inputs: Mapping[str, Sequence[Tensor]], z_range
     """
     if isinstance(features, PointFeatures):
         rows = features.rows()
-        number = torch.arange(len(rows.frame), device=rows.frame.device)
-        return Cells(number, rows.frame, torch.full_like(number, -1), rows.place_m, torch.ones_like(number))
+        row = torch.arange(len(rows.frame), device=rows.frame.device)
+        return Cells(row, rows.frame, torch.full_like(row, -1), rows.place_m, torch.ones_like(row))
     nx, ny = map_shape(features)
     count = _counts(features, inputs, (nx, ny), z_range_m)
     share = float((count > 0).float().mean())
     if isinstance(features.values, SparseTensor):
         frame, _, ix, iy = features.values.indices().unbind(1)
-        flat = (frame * nx + ix) * ny + iy
-        row = (count[flat] > 0).nonzero().squeeze(1)
-        flat = flat[row]
+        index = (frame * nx + ix) * ny + iy
+        row = (count[index] > 0).nonzero().squeeze(1)
+        index = index[row]
     else:
-        row = flat = count.nonzero().squeeze(1)
-    cell = flat % (nx * ny)
+        row = index = count.nonzero().squeeze(1)
+    cell = index % (nx * ny)
     ix, iy = torch.div(cell, ny, rounding_mode="floor"), cell % ny
-    place = [(i + 0.5) * features.cell_m + start for i, start in zip((ix, iy), features.origin_m, strict=True)]
-    frame = torch.div(flat, nx * ny, rounding_mode="floor")
-    return Cells(row, frame, cell, torch.stack(place, 1), count[flat], share)
+    centre_m = [(i + 0.5) * features.cell_m + start for i, start in zip((ix, iy), features.origin_m, strict=True)]
+    frame = torch.div(index, nx * ny, rounding_mode="floor")
+    return Cells(row, frame, cell, torch.stack(centre_m, 1), count[index], share)
 
 
 def map_shape(features: FeatureMap) -> tuple[int, int]:
@@ -92,7 +92,7 @@ def map_shape(features: FeatureMap) -> tuple[int, int]:
 def _counts(
     features: FeatureMap, inputs: Mapping[str, Sequence[Tensor]], shape: tuple[int, int], z_range_m: tuple[float, float]
 ) -> Tensor:
-    """Points in each cell of each frame, flat, int64."""
+    """Points in each cell of each frame, shape (frames * nx * ny,), int64."""
     (nx, ny), (x0, y0) = shape, features.origin_m
     total = torch.zeros(len(features) * nx * ny, dtype=torch.int64, device=device_of(features))
     for clouds in inputs.values():
@@ -101,8 +101,8 @@ def _counts(
             iy = torch.floor((cloud[:, 1] - y0) / features.cell_m)
             keep = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny)
             keep &= (cloud[:, 2] >= z_range_m[0]) & (cloud[:, 2] < z_range_m[1])
-            flat = (frame * nx + ix[keep].long()) * ny + iy[keep].long()
-            total += torch.bincount(flat, minlength=len(total))
+            index = (frame * nx + ix[keep].long()) * ny + iy[keep].long()
+            total += torch.bincount(index, minlength=len(total))
     return total
 
 
@@ -126,8 +126,8 @@ def values_at(features: Features, cells: Cells) -> Tensor:
         return features.values[cells.row]
     if isinstance(features.values, SparseTensor):
         return features.values.features[cells.row]
-    flat = features.values.permute(0, 2, 3, 1).reshape(-1, features.values.shape[1])  # no copy: maps lie channels last
-    return flat[cells.row]
+    rows = features.values.permute(0, 2, 3, 1).reshape(-1, features.values.shape[1])  # no copy: maps lie channels last
+    return rows[cells.row]
 
 
 def shown(features: Features, cells: Cells) -> Tensor:
@@ -138,20 +138,20 @@ def shown(features: Features, cells: Cells) -> Tensor:
 
 def inside(cells: Cells, boxes: Sequence[Boxes], margin_m: float) -> Tensor:
     """Which cells have their centre in a box of their frame, grown by a margin on each side, shape (n,), bool."""
-    found = torch.zeros(len(cells), dtype=torch.bool, device=cells.row.device)
-    for frame, each in enumerate(boxes):
+    hit = torch.zeros(len(cells), dtype=torch.bool, device=cells.row.device)
+    for frame, frame_boxes in enumerate(boxes):
         rows = (cells.frame == frame).nonzero().squeeze(1)
-        if len(each) and len(rows):
-            found[rows] = in_boxes(cells.place_m[rows], each, margin_m).any(1)
-    return found
+        if len(frame_boxes) and len(rows):
+            hit[rows] = in_boxes(cells.place_m[rows], frame_boxes, margin_m).any(1)
+    return hit
 
 
 def in_boxes(place_m: Tensor, boxes: Boxes, margin_m: float) -> Tensor:
     """Which places lie in which boxes on the ground, grown by a margin, shape (n, boxes), bool."""
-    numbers = np.column_stack(
+    parameters = np.column_stack(
         [boxes.centre_m[:, :2], boxes.size_m[:, :2], np.cos(boxes.yaw_rad), np.sin(boxes.yaw_rad)]
     )
-    x, y, length, width, cos, sin = torch.from_numpy(numbers).to(place_m.device, torch.float32).unbind(1)
+    x, y, length, width, cos, sin = torch.from_numpy(parameters).to(place_m.device, torch.float32).unbind(1)
     dx, dy = place_m[:, :1] - x, place_m[:, 1:] - y
     along, across = (dx * cos + dy * sin).abs(), (dy * cos - dx * sin).abs()
     return (along <= length / 2 + margin_m) & (across <= width / 2 + margin_m)
@@ -175,15 +175,15 @@ def match_density(points: Tensor, reference: Tensor, rng: np.random.Generator) -
     Returns:
         Indices of the chosen cells, ascending, shape (k,), int64.
     """
-    have, want = density_bins(points).cpu().numpy(), density_bins(reference).cpu().numpy()
-    there = np.bincount(have, minlength=_DENSITY_BINS)
-    asked = np.where(there > 0, np.bincount(want, minlength=_DENSITY_BINS), 0)
+    bins, reference_bins = density_bins(points).cpu().numpy(), density_bins(reference).cpu().numpy()
+    supply = np.bincount(bins, minlength=_DENSITY_BINS)
+    demand = np.where(supply > 0, np.bincount(reference_bins, minlength=_DENSITY_BINS), 0)
     chosen = [np.zeros(0, dtype=np.int64)]
-    if asked.any():
-        times = (there[asked > 0] / asked[asked > 0]).min()
-        for number in np.flatnonzero(asked):
-            rows = rng.permutation(np.flatnonzero(have == number))
-            chosen.append(rows[: round(times * asked[number])])
+    if demand.any():
+        factor = (supply[demand > 0] / demand[demand > 0]).min()
+        for number in np.flatnonzero(demand):
+            rows = rng.permutation(np.flatnonzero(bins == number))
+            chosen.append(rows[: round(factor * demand[number])])
     return torch.from_numpy(np.sort(np.concatenate(chosen))).to(points.device)
 
 

@@ -40,9 +40,9 @@ def diagnose_log(rows: Sequence[Row]) -> Iterator[str]:
 
 def _of_discriminator(rows: Sequence[Row]) -> Iterator[str]:
     held = [row for row in rows if "held_accuracy" in row]
-    seen = held or [row for row in rows if "discriminator_accuracy" in row]
+    scored = held or [row for row in rows if "discriminator_accuracy" in row]
     name = "held_accuracy" if held else "discriminator_accuracy"
-    accuracy = [row[name] for row in seen]
+    accuracy = [row[name] for row in scored]
     early = [row for row in rows if row["step"] <= _EARLY and "discriminator_accuracy" in row]
     probes = [row["probe_accuracy"] for row in rows if "probe_accuracy" in row]
     if early and probes and early[-1]["discriminator_accuracy"] < _CHANCE and probes[-1] > _TELLS:
@@ -100,8 +100,8 @@ def _of_pseudo_boxes(rows: Sequence[Row]) -> Iterator[str]:
     if first > 0 and not _TOO_FEW < last / first < _TOO_MANY:
         word = "more" if last > first else "fewer"
         yield (
-            f"the teacher finds {word} and {word} sure boxes ({first:.1f} a frame at first, {last:.1f} at last): it "
-            "may confirm its own mistakes; look at the page, take fewer rounds or steps"
+            f"the teacher finds {word} and {word} confident pseudo-labels ({first:.1f} a frame at first, {last:.1f} at "
+            "last): it may confirm its own mistakes; look at the page, take fewer rounds or steps"
         )
 
 

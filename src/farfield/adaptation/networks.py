@@ -29,8 +29,8 @@ def with_own_statistics(network: Network, *, own_head: bool) -> Network:
     Raises:
         ConfigError: If its own head is asked for and the network's head is no module.
     """
-    kept = {id(parameter) for parameter in _head(network).parameters()} if own_head else set()
-    shared = {id(parameter): parameter for parameter in network.parameters() if id(parameter) not in kept}
+    own = {id(parameter) for parameter in _head(network).parameters()} if own_head else set()
+    shared = {id(parameter): parameter for parameter in network.parameters() if id(parameter) not in own}
     return copy.deepcopy(network, dict(shared))
 
 

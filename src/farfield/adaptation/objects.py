@@ -54,19 +54,19 @@ def objects_of(
         classes: Names by number.
         extent: What the boxes show; see :func:`descriptors`.
     """
-    kept = [_of_classes(features, each, classes) for each in boxes]
-    count = sum(map(len, kept))
-    frame = np.repeat(np.arange(len(kept)), [len(each) for each in kept])
+    chosen = [_of_classes(features, frame_boxes, classes) for frame_boxes in boxes]
+    count = sum(map(len, chosen))
+    frame = np.repeat(np.arange(len(chosen)), [len(frame_boxes) for frame_boxes in chosen])
     device = device_of(features)
-    every = Boxes.concatenate(kept) if kept else Boxes.empty()
+    objects = Boxes.concatenate(chosen) if chosen else Boxes.empty()
     number = {name: index for index, name in enumerate(classes)}
-    kind = np.array([number[str(name)] for name in every.label], dtype=np.int64)
-    points = np.zeros(count, dtype=np.int64) if every.point_count is None else every.point_count
+    kind = np.array([number[str(name)] for name in objects.label], dtype=np.int64)
+    points = np.zeros(count, dtype=np.int64) if objects.point_count is None else objects.point_count
     return ObjectFeatures(
-        _features(features, every, torch.from_numpy(frame).to(device)),
-        torch.from_numpy(descriptors(every, extent)).float().to(device),
+        _features(features, objects, torch.from_numpy(frame).to(device)),
+        torch.from_numpy(descriptors(objects, extent)).float().to(device),
         torch.from_numpy(kind).to(device),
-        torch.from_numpy(np.hypot(*every.centre_m[:, :2].T)).float().to(device),
+        torch.from_numpy(np.hypot(*objects.centre_m[:, :2].T)).float().to(device),
         torch.from_numpy(points).to(device),
     )
 
@@ -75,8 +75,8 @@ def _of_classes(features: Features, boxes: Boxes, classes: Sequence[str]) -> Box
     keep = np.isin(boxes.label, list(classes))
     if isinstance(features, FeatureMap):
         upper = np.array(features.values.shape[-2:]) * features.cell_m
-        place = boxes.centre_m[:, :2] - np.array(features.origin_m)
-        keep &= ((place >= 0) & (place < upper)).all(axis=1)
+        offset_m = boxes.centre_m[:, :2] - np.array(features.origin_m)
+        keep &= ((offset_m >= 0) & (offset_m < upper)).all(axis=1)
     return boxes[keep]
 
 
@@ -114,8 +114,8 @@ def sampled(features: FeatureMap, boxes: Boxes, frame: Tensor) -> Tensor:
     cos, sin = np.cos(boxes.yaw_rad)[:, None], np.sin(boxes.yaw_rad)[:, None]
     x = boxes.centre_m[:, :1] + grid[..., 0] * cos - grid[..., 1] * sin
     y = boxes.centre_m[:, 1:2] + grid[..., 0] * sin + grid[..., 1] * cos
-    place = np.stack([x, y], axis=-1)
-    cell = (place - np.array(features.origin_m)) / features.cell_m - 0.5
+    samples_m = np.stack([x, y], axis=-1)
+    cell = (samples_m - np.array(features.origin_m)) / features.cell_m - 0.5
     at = torch.from_numpy(cell).float().to(frame.device).reshape(-1, 2)
     return bilinear(features.dense, frame.repeat_interleave(9), at).view(len(boxes), 9, -1).mean(1)
 
@@ -143,18 +143,18 @@ def _mean_of_rows(features: Features, boxes: Boxes, frame: Tensor) -> Tensor:
     """The mean of the rows in each box, grown by a cell; without any the nearest row; zero in an empty frame."""
     rows = features.rows()
     margin_m = features.cell_m if isinstance(features, FeatureMap) else 0.0
-    found = rows.values.new_zeros(len(boxes), rows.values.shape[1], dtype=torch.float32)
+    means = rows.values.new_zeros(len(boxes), rows.values.shape[1], dtype=torch.float32)
     for index in range(len(boxes)):
         of_frame = (rows.frame == frame[index]).nonzero().squeeze(1)
         if not len(of_frame):
             continue
-        place = rows.place_m[of_frame].float()
-        chosen = of_frame[in_boxes(place, boxes[index : index + 1], margin_m).squeeze(1)]
+        rows_m = rows.place_m[of_frame].float()
+        chosen = of_frame[in_boxes(rows_m, boxes[index : index + 1], margin_m).squeeze(1)]
         if not len(chosen):
-            centre = place.new_tensor(boxes.centre_m[index, :2])
-            chosen = of_frame[(place - centre).norm(dim=1).argmin()][None]
-        found[index] = rows.values[chosen].float().mean(0)
-    return found
+            centre = rows_m.new_tensor(boxes.centre_m[index, :2])
+            chosen = of_frame[(rows_m - centre).norm(dim=1).argmin()][None]
+        means[index] = rows.values[chosen].float().mean(0)
+    return means
 
 
 # Memory of the objects of earlier batches, by class
@@ -214,16 +214,16 @@ class Memory(nn.Module):
         channels = self.feature.shape[2]
         for number in range(len(self.feature)):
             new = rows[kind == number][-self.size :]
-            place = (int(self.following[number]) + torch.arange(len(new), device=new.device)) % self.size
-            self.feature[number, place] = new[:, 1 : 1 + channels]
-            self.descriptor[number, place] = new[:, 1 + channels :]
-            self.entered[number, place] = step
+            slots = (int(self.following[number]) + torch.arange(len(new), device=new.device)) % self.size
+            self.feature[number, slots] = new[:, 1 : 1 + channels]
+            self.descriptor[number, slots] = new[:, 1 + channels :]
+            self.entered[number, slots] = step
             self.following[number] = (self.following[number] + len(new)) % self.size
 
     def entries(self, kind: int, step: int) -> MemoryEntries:
         """What counts of a class at a step; a copy, so that later steps leave it as it is."""
-        kept = self.entered[kind] >= step - self.max_age
-        return MemoryEntries(self.feature[kind][kept], self.descriptor[kind][kept])
+        valid = self.entered[kind] >= step - self.max_age
+        return MemoryEntries(self.feature[kind][valid], self.descriptor[kind][valid])
 
 
 def _of_all_processes(rows: Tensor) -> Tensor:

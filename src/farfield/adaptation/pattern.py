@@ -123,7 +123,8 @@ class PatternAdaptation(Adaptation):
         chosen = self.settings.paired
         if isinstance(features, PointFeatures):
             raise ConfigError("method pattern: expected a detector with a map for loss: paired; points have no pairs.")
-        still = cells[~inside(cells, [_fast(each, chosen.max_speed_m_s) for each in boxes], features.cell_m / 2)]
+        fast = [_fast(frame_boxes, chosen.max_speed_m_s) for frame_boxes in boxes]
+        still = cells[~inside(cells, fast, features.cell_m / 2)]
         nx, ny = features.values.shape[-2:]
         one, other = shared_cells(still, int(nx * ny))
         distance = pair_distance(values_at(features, one), values_at(features, other), chosen.form)

@@ -77,12 +77,12 @@ def held_figures(method: ValidationProbe, batch: Mapping[str, Batch]) -> dict[st
     finally:
         for name, was in training.items():
             method.modules[name].train(was)
-    found = {f"held_loss_{name}": sum(values) / len(values) for name, values in gathered.losses.items()}
+    figures = {f"held_loss_{name}": sum(values) / len(values) for name, values in gathered.losses.items()}
     if gathered.logits:
-        found["held_accuracy"] = float(balanced_accuracy(torch.cat(gathered.logits), torch.cat(gathered.truth)))
-    found["probe_accuracy"] = probe_accuracy(gathered.rows.get(0, []), gathered.rows.get(1, []))
-    found["proxy_distance"] = 2 * (2 * found["probe_accuracy"] - 1)
-    return found
+        figures["held_accuracy"] = float(balanced_accuracy(torch.cat(gathered.logits), torch.cat(gathered.truth)))
+    figures["probe_accuracy"] = probe_accuracy(gathered.rows.get(0, []), gathered.rows.get(1, []))
+    figures["proxy_distance"] = 2 * (2 * figures["probe_accuracy"] - 1)
+    return figures
 
 
 def _frames(batch: Mapping[str, Batch]) -> Iterator[tuple[str, int, Batch]]:
@@ -140,8 +140,8 @@ def gradient_norms(losses: Mapping[str, Tensor], features: Sequence[Features]) -
     Returns:
         ``gradient_<name>`` of each.
     """
-    values = [value for each in features if (value := shared_values(each)).requires_grad]
-    found = {}
+    values = [value for part in features if (value := shared_values(part)).requires_grad]
+    norms = {}
     for name, loss in losses.items():
         parts: Sequence[Tensor | None] = [None]
         if values and loss.requires_grad:
@@ -149,8 +149,8 @@ def gradient_norms(losses: Mapping[str, Tensor], features: Sequence[Features]) -
                 parts = torch.autograd.grad(loss, values, retain_graph=True, allow_unused=True)
         squares = sum(float(part.detach().float().square().sum()) for part in parts if part is not None)
         shared = sum_over_processes(torch.tensor(squares, dtype=torch.float64, device=loss.device))
-        found[f"gradient_{name}"] = math.sqrt(float(shared))
-    return found
+        norms[f"gradient_{name}"] = math.sqrt(float(shared))
+    return norms
 
 
 def gradient_ratio(norms: Mapping[str, float], detection: str = "detection") -> float:
@@ -168,7 +168,7 @@ def gradient_ratio(norms: Mapping[str, float], detection: str = "detection") -> 
 def probe_accuracy(one: Sequence[Tensor], other: Sequence[Tensor]) -> float:
     """Balanced accuracy of a fresh linear probe that tells two domains by their features.
 
-    It learns on every second frame of each domain and is asked on the rest: logistic regression on standardised
+    It learns on every second frame of each domain and is scored on the rest: logistic regression on standardised
     features, 200 full steps of Adam. A discriminator at 0.5 may be weak; where this too is at 0.5, a linear view tells
     nothing. ``2 (1 - 2 (1 - accuracy))`` is the proxy A-distance (Ben-David et al. 2010).
 
@@ -179,16 +179,17 @@ def probe_accuracy(one: Sequence[Tensor], other: Sequence[Tensor]) -> float:
     Returns:
         From 0 to 1; NaN with fewer than two frames with features in a domain.
     """
-    domains = [[rows.detach().float() for rows in each if len(rows)] for each in (one, other)]
+    domains = [[rows.detach().float() for rows in frames if len(rows)] for frames in (one, other)]
     if min(map(len, domains)) < 2:
         return math.nan
-    learn, ask = ([torch.cat(each[part::2]) for each in domains] for part in (0, 1))
-    mean = torch.cat(learn).mean(0)
-    scale = torch.cat(learn).std(0).clamp(min=1e-6)
-    learn, ask = ([(rows - mean) / scale for rows in each] for each in (learn, ask))
-    weight, bias = fitted_probe(learn[0], learn[1])
+    train, test = ([torch.cat(frames[part::2]) for frames in domains] for part in (0, 1))
+    mean = torch.cat(train).mean(0)
+    scale = torch.cat(train).std(0).clamp(min=1e-6)
+    train, test = ([(rows - mean) / scale for rows in domain] for domain in (train, test))
+    weight, bias = fitted_probe(train[0], train[1])
     with torch.no_grad():
-        shares = [float(((rows @ weight + bias > 0) == bool(domain)).float().mean()) for domain, rows in enumerate(ask)]
+        answers = [rows @ weight + bias > 0 for rows in test]
+        shares = [float((answer == bool(domain)).float().mean()) for domain, answer in enumerate(answers)]
     return sum(shares) / 2
 
 
@@ -225,7 +226,7 @@ class OccupiedFeatures:
 
 
 @torch.no_grad()
-def features_seen(
+def occupied_features(
     detector: Detector, frames: Sequence[Frame], cloud: str, *, limit: int = 1000, seed: int = 0
 ) -> OccupiedFeatures:
     """The features that enter a detector's head, at cells that hold points.
@@ -238,7 +239,7 @@ def features_seen(
         seed: Seed of the draw.
     """
     ((name, source),) = detector.network.inputs.items()
-    rng, found = np.random.default_rng(seed), list[tuple[np.ndarray, np.ndarray]]()
+    rng, features_by_frame = np.random.default_rng(seed), list[tuple[np.ndarray, np.ndarray]]()
     for frame in frames:
         points = cloud_tensor(frame.cloud(cloud), source.columns)
         inputs = Inputs({name: [points]}).to(detector.device)
@@ -246,9 +247,9 @@ def features_seen(
         cells = occupied(features, inputs, z_range_m(detector.config))
         chosen = torch.from_numpy(np.sort(rng.permutation(len(cells))[:limit])).to(cells.row.device)
         values = values_at(features, cells[chosen]).float().cpu().numpy().astype(np.float64)
-        found.append((values, cells[chosen].place_m.float().norm(dim=1).cpu().numpy().astype(np.float64)))
+        features_by_frame.append((values, cells[chosen].place_m.float().norm(dim=1).cpu().numpy().astype(np.float64)))
     return OccupiedFeatures(
-        values=np.concatenate([values for values, _ in found]),
-        range_m=np.concatenate([range_m for _, range_m in found]),
-        frame=np.repeat(np.arange(len(found)), [len(values) for values, _ in found]),
+        values=np.concatenate([values for values, _ in features_by_frame]),
+        range_m=np.concatenate([range_m for _, range_m in features_by_frame]),
+        frame=np.repeat(np.arange(len(features_by_frame)), [len(values) for values, _ in features_by_frame]),
     )

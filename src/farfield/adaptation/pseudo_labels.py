@@ -1,4 +1,4 @@
-"""Pseudo boxes of a teacher: which are kept, which leave a band that is ignored, and the strong view that learns them.
+"""Pseudo-labels of a teacher: confident boxes, those between two scores that are ignored, and the strong view.
 
 The thresholds are those of self-training in the literature (ST3D++, arXiv 2108.06682: positive 0.6, negative 0.25).
 """
@@ -40,10 +40,15 @@ def levels(score: Score, labels: Sequence[str] | np.ndarray) -> Float[np.ndarray
     return np.full(len(labels), score, dtype=np.float64)
 
 
-def spoken(score: Score) -> str:
+def scores_of(boxes: Boxes) -> Float[np.ndarray, " n"]:
+    """The scores of boxes, shape (n,); those without are 0."""
+    return np.zeros(len(boxes)) if boxes.score is None else boxes.score
+
+
+def threshold_text(score: Score) -> str:
     """A threshold in words.
 
-    >>> spoken({"vehicle": 0.6, "pedestrian": 0.4})
+    >>> threshold_text({"vehicle": 0.6, "pedestrian": 0.4})
     'vehicle 0.6, pedestrian 0.4'
     """
     if isinstance(score, Mapping):
@@ -67,26 +72,26 @@ class StrongAugmentation(MethodSettings):
 
 
 class PseudoLabels(NamedTuple):
-    """What a teacher found in a frame.
+    """What a teacher detected in a frame.
 
     Attributes:
-        sure: Boxes with at least the higher score, without scores.
-        unsure: Boxes with a score between the thresholds.
+        confident: Boxes with at least the higher score, without scores.
+        ignored: Boxes with a score between the thresholds.
     """
 
-    sure: Boxes
-    unsure: Boxes
+    confident: Boxes
+    ignored: Boxes
 
     def moved(self, change: Augmentation) -> "PseudoLabels":
         """The same boxes after a motion."""
-        return PseudoLabels(change.boxes(self.sure), change.boxes(self.unsure))
+        return PseudoLabels(change.boxes(self.confident), change.boxes(self.ignored))
 
-    def where(self, kept: Bool[np.ndarray, " n"]) -> "PseudoLabels":
-        """Only the sure boxes that ``kept`` names stay sure; the others are unsure, and so ignored."""
-        return PseudoLabels(self.sure[kept], Boxes.concatenate([self.unsure, self.sure[~kept]]))
+    def where(self, visible: Bool[np.ndarray, " n"]) -> "PseudoLabels":
+        """The same, but that of the confident boxes those that are not ``visible`` are ignored."""
+        return PseudoLabels(self.confident[visible], Boxes.concatenate([self.ignored, self.confident[~visible]]))
 
 
-def sorted_by_score(boxes: Boxes, positive: Score, negative: Score) -> PseudoLabels:
+def split_by_score(boxes: Boxes, positive: Score, negative: Score) -> PseudoLabels:
     """Part a teacher's boxes by their scores; those below ``negative`` are dropped.
 
     Args:
@@ -94,45 +99,46 @@ def sorted_by_score(boxes: Boxes, positive: Score, negative: Score) -> PseudoLab
         positive: Score from which a box is an object, of all classes or of each.
         negative: Score below which it is background.
     """
-    score = np.zeros(len(boxes)) if boxes.score is None else boxes.score
-    sure, known = (score >= levels(each, boxes.label) for each in (positive, negative))
-    bare = boxes.replace(score=None)
-    return PseudoLabels(bare[sure], bare[known & ~sure])
+    score = scores_of(boxes)
+    confident, above_negative = (score >= levels(threshold, boxes.label) for threshold in (positive, negative))
+    unscored = boxes.replace(score=None)
+    return PseudoLabels(unscored[confident], unscored[above_negative & ~confident])
 
 
 def in_weather(
     inputs: Mapping[str, list[Tensor]],
-    found: list[PseudoLabels],
+    pseudo_labels: list[PseudoLabels],
     columns: Mapping[str, Sequence[str]],
     config: WeatherConfig,
     rng: np.random.Generator,
 ) -> tuple[Inputs, list[PseudoLabels]]:
     """The frames with weather laid over them, each its own, before anything moves them.
 
-    Sure boxes whose last point the weather takes become unsure: the student cannot see what is there.
+    Confident boxes whose last point the weather takes are ignored: the student cannot see what is there.
 
     Args:
         inputs: Clouds of each frame by input.
-        found: What the teacher found in each frame.
+        pseudo_labels: What the teacher detected in each frame.
         columns: Columns of each input.
         config: The weather.
         rng: The only source of randomness.
     """
     named = {name: list(clouds) for name, clouds in inputs.items()}
-    left = list(found)
-    for frame in range(len(found)):
+    visible = list(pseudo_labels)
+    for frame in range(len(pseudo_labels)):
         laid = draw_weather(config, rng)
         if laid is None:
             continue
         before, after = [], []
         for name, clouds in named.items():
             rows = clouds[frame].detach().float().cpu().numpy()
-            changed, kept = lay_over(rows, columns[name], config, laid, rng)
+            changed, survives = lay_over(rows, columns[name], config, laid, rng)
             before.append(rows[:, :3])
-            after.append(rows[kept, :3])
+            after.append(rows[survives, :3])
             clouds[frame] = torch.from_numpy(changed).to(clouds[frame].device, clouds[frame].dtype)
-        left[frame] = left[frame].where(holding(np.concatenate(before), np.concatenate(after), left[frame].sure))
-    return Inputs(named), left
+        holds_points = holding(np.concatenate(before), np.concatenate(after), visible[frame].confident)
+        visible[frame] = visible[frame].where(holds_points)
+    return Inputs(named), visible
 
 
 def strong_view(
@@ -150,21 +156,24 @@ def strong_view(
     named = {}
     for name, clouds in inputs.items():
         with torch.autocast(clouds[0].device.type, enabled=False):  # bfloat16 has steps of a metre at 250 m
-            named[name] = [_changed(*each, rng) for each in zip(clouds, changes, shares, strict=True)]
+            named[name] = [
+                _changed(cloud, change, share, rng)
+                for cloud, change, share in zip(clouds, changes, shares, strict=True)
+            ]
     return Inputs(named)
 
 
 def _changed(cloud: Tensor, change: Augmentation, share: float, rng: np.random.Generator) -> Tensor:
-    kept = torch.from_numpy(rng.random(len(cloud)) >= share).to(cloud.device)
+    survives = torch.from_numpy(rng.random(len(cloud)) >= share).to(cloud.device)
     linear = torch.from_numpy(change.linear).to(cloud.device, cloud.dtype)
-    moved = cloud[kept]
+    moved = cloud[survives]
     moved[:, :3] = moved[:, :3] @ linear.T
     moved[:, 2] += change.rise_m
     return moved
 
 
 def targets_of(assigner: Assigner, pseudo: PseudoLabels, inputs: Mapping[str, Tensor]) -> Any:
-    """Targets of a frame: sure boxes are objects, and what is near unsure ones is ignored.
+    """Targets of a frame: confident pseudo-labels are objects, and what is near ignored boxes is ignored.
 
     Args:
         assigner: The network's.
@@ -175,13 +184,13 @@ def targets_of(assigner: Assigner, pseudo: PseudoLabels, inputs: Mapping[str, Te
         ConfigError: If the detector's targets know of nothing that is ignored.
     """
     clouds = {name: cloud.cpu().numpy() for name, cloud in inputs.items()}
-    targets, unsure = (assigner(boxes, clouds) for boxes in pseudo)
+    targets, ignored = (assigner(boxes, clouds) for boxes in pseudo)
     if not hasattr(targets, "ignoring"):
         raise ConfigError(
-            f"method teacher: expected targets that can ignore unsure boxes; {type(targets).__name__} cannot. Take "
+            f"method teacher: expected targets that can ignore boxes; {type(targets).__name__} cannot. Take "
             "pointpillars, second, voxelnet, sparsecentre, rtn or rtnh."
         )
-    return targets.ignoring(unsure)
+    return targets.ignoring(ignored)
 
 
 def check_ignores(network: Network) -> None:

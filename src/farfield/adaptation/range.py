@@ -215,15 +215,15 @@ class RangeAdaptation(Adaptation):
         total, numbers, taking = far.feature.sum() * 0.0, [], 0
         for kind in range(len(self.classes)):
             entries = memory.entries(kind, step)
-            mine = far.chosen(far.kind == kind)
-            if len(entries.feature) < _LEAST_ENTRIES or not len(mine.kind):
+            objects = far.chosen(far.kind == kind)
+            if len(entries.feature) < _LEAST_ENTRIES or not len(objects.kind):
                 continue
-            weights = similarity(mine.descriptor, entries.descriptor, chosen.tau)
+            weights = similarity(objects.descriptor, entries.descriptor, chosen.tau)
             if chosen.mixture == "shuffled":
                 weights = weights[:, torch.from_numpy(rng.permutation(weights.shape[1])).to(weights.device)]
-            total = total + local_error(mine.feature, weights @ entries.feature, entries.feature)
+            total = total + local_error(objects.feature, weights @ entries.feature, entries.feature)
             numbers.append(effective_number(weights))
-            taking += len(mine.kind)
+            taking += len(objects.kind)
         self.note(n_eff=torch.cat(numbers).mean() if numbers else float("nan"), local_objects=float(taking))
         return total / normaliser(total.new_tensor(float(taking)))
 

@@ -24,10 +24,10 @@ from farfield.adaptation.pseudo_labels import (
     Score,
     StrongAugmentation,
     in_weather,
-    sorted_by_score,
-    spoken,
+    split_by_score,
     strong_view,
     targets_of,
+    threshold_text,
 )
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
@@ -133,13 +133,17 @@ class MeanTeacher(Adaptation):
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The losses of the source's labels, and those of the pseudo boxes."""
         rng = self.generator(step)
-        found = self.found(batch[_TARGET].inputs)
-        changes = [self.settings.strong.draw(rng) for _ in found]
-        clouds, found = self._in_weather(batch[_TARGET].inputs, found, rng)
+        # 1. Teacher: pseudo-labels of the target's frames as they are
+        pseudo_labels = self.pseudo_labels(batch[_TARGET].inputs)
+        # 2. Strong view: the same frames in weather, moved and thinned, and their pseudo-labels with them
+        changes = [self.settings.strong.draw(rng) for _ in pseudo_labels]
+        clouds, pseudo_labels = self._in_weather(batch[_TARGET].inputs, pseudo_labels, rng)
         view = strong_view(clouds, changes, self.settings.strong.thinning, rng)
-        moved = [pseudo.moved(change) for pseudo, change in zip(found, changes, strict=True)]
+        moved = [pseudo.moved(change) for pseudo, change in zip(pseudo_labels, changes, strict=True)]
+        # 3. Student: source and view, together or with statistics by domain
         source, target = self._features(batch[_SOURCE].inputs, view)
         student, of_source = self.modules[DETECTOR], self.modules[self._of_source]
+        # 4. Losses: of the source's labels, and of the pseudo-labels
         losses = _losses(of_source, source, batch[_SOURCE].targets, self.settings.source_weight, "source")
         if self.settings.weight:
             frames = [{name: view[name][frame] for name in view} for frame in range(len(view))]
@@ -150,14 +154,14 @@ class MeanTeacher(Adaptation):
         return losses
 
     def _in_weather(
-        self, inputs: Inputs, found: list[PseudoLabels], rng: np.random.Generator
+        self, inputs: Inputs, pseudo_labels: list[PseudoLabels], rng: np.random.Generator
     ) -> tuple[Inputs, list[PseudoLabels]]:
         """The target's frames in the weather that the student is to see them in; its draws are its own."""
         config = self.settings.strong.weather
         if config is None or not config.probability:
-            return inputs, found
-        columns = {name: each.columns for name, each in self.modules[DETECTOR].inputs.items()}
-        return in_weather(inputs, found, columns, config, rng.spawn(1)[0])
+            return inputs, pseudo_labels
+        columns = {name: cloud.columns for name, cloud in self.modules[DETECTOR].inputs.items()}
+        return in_weather(inputs, pseudo_labels, columns, config, rng.spawn(1)[0])
 
     def _measure(
         self, losses: Mapping[str, Tensor], source: Features, target: Features, inputs: Inputs, view: Inputs, step: int
@@ -168,8 +172,8 @@ class MeanTeacher(Adaptation):
         both = {name: [loss for part, loss in losses.items() if part.startswith(name)] for name in (_SOURCE, _TARGET)}
         self.note(**gradient_norms({name: total(parts) for name, parts in both.items() if parts}, [source, target]))
         limits = z_range_m(self.modules[DETECTOR].config)
-        for name, features, seen in ((_SOURCE, source, inputs), (_TARGET, target, view)):
-            self.note(**{name: shown(features, occupied(features, seen, limits))})
+        for name, features, clouds in ((_SOURCE, source, inputs), (_TARGET, target, view)):
+            self.note(**{name: shown(features, occupied(features, clouds, limits))})
 
     def reader(self, stream: str) -> nn.Module:
         """Each domain has its statistics, if they are apart."""
@@ -185,30 +189,31 @@ class MeanTeacher(Adaptation):
         return _SOURCE if self.settings.norm == "per_domain" else DETECTOR
 
     @torch.no_grad()
-    def found(self, inputs: Inputs) -> list[PseudoLabels]:
-        """What the teacher finds in frames.
+    def pseudo_labels(self, inputs: Inputs) -> list[PseudoLabels]:
+        """What the teacher detects in frames.
 
         Raises:
-            FarfieldError: If it found no object for too many steps in a row.
+            FarfieldError: If it detected no object for too many steps in a row.
         """
         teacher = self.modules[_TEACHER].eval()
-        boxes = teacher.predict(inputs)
-        found = [sorted_by_score(each, self.settings.positive, self.settings.negative) for each in boxes]
-        sure, unsure = (sum(map(len, part)) for part in zip(*found, strict=True))
-        self.note(pseudo_boxes=sure / len(found), ignored_boxes=unsure / len(found))
-        self._count(sure)
-        return found
+        settings, frames = self.settings, teacher.predict(inputs)
+        pseudo_labels = [split_by_score(boxes, settings.positive, settings.negative) for boxes in frames]
+        confident, ignored = (sum(map(len, part)) for part in zip(*pseudo_labels, strict=True))
+        self.note(pseudo_boxes=confident / len(frames), ignored_boxes=ignored / len(frames))
+        self._count(confident)
+        return pseudo_labels
 
-    def _count(self, sure: int) -> None:
+    def _count(self, confident: int) -> None:
         empty = self.modules[_COUNTS].empty
-        total = sum_over_processes(torch.tensor(float(sure), device=empty.device)) if process_count() > 1 else sure
+        total = torch.tensor(float(confident), device=empty.device)
+        total = sum_over_processes(total) if process_count() > 1 else total
         empty.copy_((empty + 1) * (0 if total else 1))
         if int(empty) >= self.settings.patience:
             raise FarfieldError(
                 f"method teacher: in {int(empty)} steps the teacher found no box with a score of "
-                f"{spoken(self.settings.positive)} or more in the target's frames, so there is nothing to learn there. "
-                "Look at what the start's weights detect in them; lower positive, or move the target into the "
-                "coordinates that these learnt in."
+                f"{threshold_text(self.settings.positive)} or more in the target's frames, so there is nothing to "
+                "learn there. Look at what the start's weights detect in them; lower positive, or move the target into "
+                "the coordinates that these learnt in."
             )
 
     def _features(self, source: Inputs, target: Inputs) -> tuple[Features, Features]:

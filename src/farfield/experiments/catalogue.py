@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from difflib import get_close_matches
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ class ShippedExperiment:
 
 def shipped() -> tuple[ShippedExperiment, ...]:
     """All shipped experiments, by name."""
-    return tuple(sorted((_shipped(path) for path in FOLDER.glob("*.yaml")), key=_name))
+    return tuple(sorted((_shipped(path) for path in FOLDER.glob("*.yaml")), key=attrgetter("name")))
 
 
 def names() -> tuple[str, ...]:
@@ -57,11 +58,11 @@ def find(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if path.is_file():
         return path
-    known = {_plain(entry.name): entry for entry in shipped()}
-    known |= {_plain(entry.path.name): entry for entry in known.values()}
-    if len(path.parts) == 1 and _plain(path.name) in known:
-        return known[_plain(path.name)].path
-    close = dict.fromkeys(known[word].name for word in get_close_matches(_plain(path.name), known, n=4))
+    entries = {_plain(entry.name): entry for entry in shipped()}
+    entries |= {_plain(entry.path.name): entry for entry in entries.values()}
+    if len(path.parts) == 1 and _plain(path.name) in entries:
+        return entries[_plain(path.name)].path
+    close = dict.fromkeys(entries[key].name for key in get_close_matches(_plain(path.name), entries, n=4))
     hint = f"Did you mean {' or '.join(close)}? " if close else ""
     raise ConfigError(
         f"{name_or_path}: expected an experiment's YAML file or the name of a shipped experiment, found nothing. {hint}"
@@ -82,10 +83,6 @@ def _shipped(path: Path) -> ShippedExperiment:
         simulated=simulate.get("preset", ""),
         steps=tree["training"]["steps"],
     )
-
-
-def _name(entry: ShippedExperiment) -> str:
-    return entry.name
 
 
 def _plain(name: str) -> str:

@@ -136,17 +136,17 @@ def _extended(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     if not isinstance(base, str) or "name" not in tree:
         lacks = "a file or a shipped experiment" if not isinstance(base, str) else "a name of its own beside it"
         raise ConfigError(f"{path}: expected extends: with {lacks}, got {base!r}.")
-    found = (path.parent / base) if (path.parent / base).is_file() else find(base)
-    if found.resolve() in (path.resolve(), *above):
+    below_path = (path.parent / base) if (path.parent / base).is_file() else find(base)
+    if below_path.resolve() in (path.resolve(), *above):
         raise ConfigError(f"{path}: extends itself, by {base}.")
-    below = _extended(found, (*above, path.resolve()))
+    below = _extended(below_path, (*above, path.resolve()))
     if _detector_name(tree, below) != _detector_name(below):
         below = {name: value for name, value in below.items() if name != "detector"}
     name = _detector_name(tree, below)
-    for each in (below, tree):
-        if "detector" in each:
-            each["detector"] = _under_today_s_names(each["detector"], _kind(name), str(path))
-    return merged(below, tree, _whole(name))
+    for part in (below, tree):
+        if "detector" in part:
+            part["detector"] = _with_current_names(part["detector"], _kind(name), str(path))
+    return merged(below, tree, _model_of(name))
 
 
 def _tree(path: Path) -> dict[str, Any]:
@@ -181,14 +181,14 @@ def experiment_of(tree: dict[str, Any], overrides: Sequence[str] = (), *, where:
     try:
         return Experiment.model_validate(tree)
     except ValidationError as error:
-        lines = [_fault(item, _whole(_detector_name(tree))) for item in error.errors()]
+        lines = [_fault(item, _model_of(_detector_name(tree))) for item in error.errors()]
         raise ConfigError(f"{where}: {len(lines)} setting(s) do not fit:\n" + "\n".join(lines)) from error
 
 
 def _detector_name(*trees: dict[str, Any]) -> str:
     """Name of the detector: that of the first of several trees of settings that says it."""
-    said = [tree["detector"].get("name") for tree in trees if isinstance(tree.get("detector"), dict)]
-    return next((str(name) for name in said if name), "pointpillars")
+    names = [tree["detector"].get("name") for tree in trees if isinstance(tree.get("detector"), dict)]
+    return next((str(name) for name in names if name), "pointpillars")
 
 
 def _kind(detector: str) -> type[DetectorConfig]:
@@ -199,25 +199,22 @@ def _kind(detector: str) -> type[DetectorConfig]:
         return DetectorConfig
 
 
-def _whole(detector: str) -> type[Experiment]:
+def _model_of(detector: str) -> type[Experiment]:
     """The model of an experiment with this detector."""
     return create_model("Experiment", __base__=Experiment, detector=(_kind(detector), ...))
 
 
-def _fault(item: "ErrorDetails", whole: type[Experiment]) -> str:
+def _fault(item: "ErrorDetails", model: type[Experiment]) -> str:
     """A line on what does not fit; for an unknown key with those that there are."""
-    path, what = _place(item["loc"]), fault_of(item)
+    # Keys of the file that lead to the fault, without the words of the choice between one data set and several
+    path = [key for level, key in enumerate(item["loc"]) if not (level == 1 and key in ("one", "several"))]
+    what = fault_of(item)
     if item["type"] == "extra_forbidden":
-        what = hint(str(path[-1]), keys_of(whole, path[:-1]))
+        what = hint(str(path[-1]), keys_of(model, path[:-1]))
     return f"  {'.'.join(map(str, path))}: {what}"
 
 
-def _place(location: tuple[int | str, ...]) -> list[int | str]:
-    """Keys of the file that lead to a fault, without the words of the choice between one data set and several."""
-    return [word for place, word in enumerate(location) if not (place == 1 and word in ("one", "several"))]
-
-
-def _under_today_s_names(settings: Any, detector: type[DetectorConfig], where: str) -> Any:
+def _with_current_names(settings: Any, detector: type[DetectorConfig], where: str) -> Any:
     try:
         return renamed(settings, detector.old_names)
     except ValueError as error:
@@ -231,7 +228,7 @@ def _override(tree: dict[str, Any], detector: type[DetectorConfig], override: st
     group, dot, within = path.partition(".")
     path = f"{group}.{current_key(within, detector.old_names)}" if group == "detector" and dot else path
     if group == "detector" and isinstance(tree.get(group), dict):
-        tree[group] = _under_today_s_names(tree[group], detector, override)
+        tree[group] = _with_current_names(tree[group], detector, override)
     *parents, last = path.split(".")
     for key in parents:
         tree = tree.setdefault(key, {})
@@ -262,7 +259,9 @@ def keys_of(kind: Any, path: Sequence[str | int]) -> list[str]:
         kind: A model, or an annotation of one.
         path: Keys that lead to the group.
     """
-    return list(dict.fromkeys(name for model in _models(kind, path) for name in _names(model)))
+    models = list(_models(kind, path))
+    names = [name for model in models for name in [*model.model_fields, *_FURTHER.get(model.__name__, ())]]
+    return list(dict.fromkeys(names))
 
 
 def is_group(kind: Any, path: Sequence[str | int]) -> bool:
@@ -286,21 +285,14 @@ def merged(base: Tree, over: Tree, kind: Any, path: tuple[str, ...] = ()) -> Tre
         kind: The model of the whole tree.
         path: Where in the whole tree the two stand.
     """
-    found = dict(base)
+    tree = dict(base)
     for key, value in over.items():
-        below, place = base.get(key), (*path, key)
-        if isinstance(value, Mapping) and isinstance(below, Mapping) and _merges(kind, place):
-            value = merged(dict(below), dict(value), kind, place)
-        found[key] = value
-    return found
-
-
-def _merges(kind: Any, place: tuple[str, ...]) -> bool:
-    return is_group(kind, place) or place == ("data",)  # data of several streams are groups by name
-
-
-def _names(model: type[BaseModel]) -> list[str]:
-    return [*model.model_fields, *_FURTHER.get(model.__name__, ())]
+        below, inner = base.get(key), (*path, key)
+        merges = is_group(kind, inner) or inner == ("data",)  # data of several streams are groups by name
+        if isinstance(value, Mapping) and isinstance(below, Mapping) and merges:
+            value = merged(dict(below), dict(value), kind, inner)
+        tree[key] = value
+    return tree
 
 
 def _models(kind: Any, path: Sequence[str | int]) -> Iterator[type[BaseModel]]:
@@ -313,8 +305,8 @@ def _models(kind: Any, path: Sequence[str | int]) -> Iterator[type[BaseModel]]:
     elif origin is Annotated:
         yield from _models(arguments[0], path)
     elif origin in (Union, UnionType):
-        for each in arguments:
-            yield from _models(each, path)
+        for argument in arguments:
+            yield from _models(argument, path)
     elif isinstance(origin, type) and issubclass(origin, Mapping) and path:
         yield from _models(arguments[1], path[1:])
     elif origin in (list, tuple) and path:

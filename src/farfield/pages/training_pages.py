@@ -119,7 +119,7 @@ def _cell(value: float | None, interval: Interval | None, *, signed: bool = Fals
 
 @dataclass(frozen=True, eq=False)
 class PseudoLabelFrame:
-    """A frame of the target with its sure boxes before and after.
+    """A frame of the target with its confident boxes before and after.
 
     Args:
         frame: The frame.
@@ -144,9 +144,9 @@ class AdaptedPage:
         edges_m: Edges of the range bins.
         before: All scored boxes of the target before, by frame.
         after: All scored boxes after.
-        positive: Scores from which boxes are sure, by class.
+        positive: Scores from which boxes are confident, by class.
         negative: Scores below which they are background.
-        source_rate: Sure boxes a sweep of the source.
+        source_rate: Confident boxes a sweep of the source.
         measured: Classes whose thresholds come from the source's scores.
         changes: Frames to show.
         rows: Rows of the training's log.
@@ -190,13 +190,13 @@ def write_adapted(path: Path, page: AdaptedPage) -> Path:
 def render_adapted(page: AdaptedPage) -> str:
     """Return the page as HTML."""
     before, after = (rates(boxes, page) for boxes in (page.before, page.after))
-    sure = [float(table[:, :, 0].sum()) for table in (before, after)]
+    confident = [float(table[:, :, 0].sum()) for table in (before, after)]
     return render_template(
         "adapted.html",
         page=page,
         headline=(
-            f"{sure[0]:.1f} sure boxes a sweep before, {sure[1]:.1f} after; the source, on which the detector learnt, "
-            f"has {page.source_rate:.1f}. More boxes are not better ones: look at the pictures"
+            f"{confident[0]:.1f} confident boxes a sweep before, {confident[1]:.1f} after; the source, on which the "
+            f"detector learnt, has {page.source_rate:.1f}. More boxes are not better ones: look at the pictures"
             + (", and at the scores." if page.scores else ", and score the weights on labels where you have some.")
         ),
         origin=_origin(page.simulated),
@@ -218,7 +218,7 @@ def render_adapted(page: AdaptedPage) -> str:
 
 
 def rates(boxes: Mapping[Key, Boxes], page: AdaptedPage) -> np.ndarray:
-    """Sure and unsure boxes a sweep by class and range bin, shape (classes, bins, 2).
+    """Confident and ignored boxes a sweep by class and range bin, shape (classes, bins, 2).
 
     Boxes beyond the last edge count in no bin.
     """
@@ -229,8 +229,8 @@ def rates(boxes: Mapping[Key, Boxes], page: AdaptedPage) -> np.ndarray:
         inside = (range_bin >= 0) & (range_bin < counts.shape[1])
         for row, name in enumerate(page.classes):
             of_class = inside & (np.asarray(frame_boxes.label) == name)
-            sure, unsure = of_class & (score >= page.positive[name]), of_class & (score >= page.negative[name])
-            for part, chosen in enumerate((sure, unsure & ~sure)):
+            confident, above_negative = (of_class & (score >= limit[name]) for limit in (page.positive, page.negative))
+            for part, chosen in enumerate((confident, above_negative & ~confident)):
                 np.add.at(counts[row, :, part], range_bin[chosen], 1)
     return counts / max(len(boxes), 1)
 
@@ -239,7 +239,7 @@ def _table(page: AdaptedPage, before: np.ndarray, after: np.ndarray) -> list[lis
     """Rows of the table: a class, then before and after in each bin and over all."""
     rows = []
     for row, name in enumerate(page.classes):
-        for part, kind in enumerate(("sure", "unsure")):
+        for part, kind in enumerate(("confident", "ignored")):
             old, new = (np.append(table[row, :, part], table[row, :, part].sum()) for table in (before, after))
             cells = [f"{first:.2f} → {last:.2f}" for first, last in zip(old, new, strict=True)]
             rows.append([f"{name.replace('_', ' ')}, {kind}", *cells])
@@ -265,7 +265,7 @@ def _histogram(page: AdaptedPage) -> PageImage:
 
 def _picture(change: PseudoLabelFrame) -> PageImage:
     frame = change.frame
-    caption = f"{len(change.before)} sure boxes before, {len(change.after)} after."
+    caption = f"{len(change.before)} confident boxes before, {len(change.after)} after."
     if frame.boxes is not None:
         caption += " Annotated boxes are drawn too; they were not used."
     return PageImage(
@@ -284,7 +284,7 @@ def _course(rows: Sequence[Mapping[str, float | int]]) -> PageImage | None:
         figure_uri(figure),
         "Curves of the losses and of what else was logged over the steps of all rounds",
         "Every logged step, the rounds one after the other. Losses are those of the labelled source and of the pseudo "
-        "boxes; sure and ignored boxes a frame are the teacher's; docs/adaptation.md says how to read the others.",
+        "boxes; confident and ignored boxes a frame are the teacher's; docs/adaptation.md says how to read the others.",
         "The course of the training",
     )
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from farfield.adaptation.probes import OccupiedFeatures, features_seen
+from farfield.adaptation.probes import OccupiedFeatures, occupied_features
 from farfield.detectors.runtime import Detector
 from farfield.papers.grid import Score, Tree
 from farfield.papers.places import DataLocation
@@ -50,9 +50,9 @@ def _seen(by: str, weights: Path, frames: list[Any], score: Score) -> tuple[Occu
     detector = Detector.load(weights)
     if by == "range":
         edges_m = score.edges_m("III") or (0.0, 100.0, 250.0)
-        seen = features_seen(detector, frames, PATTERNS[0])
+        seen = occupied_features(detector, frames, PATTERNS[0])
         return seen, seen.range_m >= edges_m[1], (f"nearer than {edges_m[1]:g} m", f"{edges_m[1]:g} m and farther")
-    each = [features_seen(detector, frames, cloud) for cloud in PATTERNS]
+    each = [occupied_features(detector, frames, cloud) for cloud in PATTERNS]
     seen = OccupiedFeatures(
         values=np.concatenate([one.values for one in each]),
         range_m=np.concatenate([one.range_m for one in each]),

@@ -52,12 +52,12 @@ class ObjectBank:
         self,
         points: Points,
         boxes: Boxes,
-        wanted: dict[str, int],
+        counts: dict[str, int],
         rng: np.random.Generator,
         *,
         bands_m: Sequence[float | int] = (),
     ) -> tuple[Points, Boxes]:
-        """Add up to the wanted number of objects of each class, where they stood in their own frame.
+        """Add up to so many objects of each class, where they stood in their own frame.
 
         An object keeps its place, so its density and visible side stay right for its range. It is left out where it
         would touch a box of the frame; points of the frame inside its box are removed.
@@ -65,12 +65,12 @@ class ObjectBank:
         Args:
             points: The frame's points.
             boxes: The frame's boxes.
-            wanted: How many of each class.
+            counts: How many of each class.
             rng: The only source of randomness.
             bands_m: Edges of range bands over which objects are drawn evenly; without them evenly over objects.
         """
         keep, added = np.ones(len(points), dtype=np.bool_), []
-        for name, count in wanted.items():
+        for name, count in counts.items():
             pool = self.objects.get(name, [])
             range_m = np.array([float(np.hypot(*box.centre_m[0, :2])) for _, box in pool], dtype=np.float64)
             for index in draw(range_m, count, rng, bands_m=bands_m):
@@ -117,7 +117,7 @@ class RollingBank:
 
     Args:
         cut: Cuts objects out of the frame of a number.
-        order: The frame at a place of the endless stream.
+        order: The frame at a position of the endless stream.
         frames: Frames in the bank at a time.
     """
 
@@ -132,7 +132,7 @@ class RollingBank:
         """The bank at a position; frames that it did not hold at the position asked for before are read now."""
         first = position // SAMPLES_PER_FRAME
         if first != self._first:
-            numbers = [self.order(place) for place in range(first, first + self.frames)]
+            numbers = [self.order(position) for position in range(first, first + self.frames)]
             new = [number for number in dict.fromkeys(numbers) if number not in self._cut]
             read = {number: self.cut(number) for number in (progress(new) if new else ())}
             self._cut = {number: self._cut[number] if number in self._cut else read[number] for number in numbers}
@@ -227,9 +227,9 @@ def augment(
     change = draw_change(config, rng)
     points, boxes = change.points(points), change.boxes(boxes)
     if config.thinning:
-        points, boxes = _kept(points, boxes, rng.random(len(points)) >= rng.uniform(0, config.thinning))
+        points, boxes = _thinned(points, boxes, rng.random(len(points)) >= rng.uniform(0, config.thinning))
     if config.sparse_near is not None:
-        points, boxes = _kept(points, boxes, sparse_near(points, boxes, config.sparse_near, rng))
+        points, boxes = _thinned(points, boxes, sparse_near(points, boxes, config.sparse_near, rng))
     return points, boxes
 
 
@@ -260,8 +260,8 @@ def sparse_near(points: Points, boxes: Boxes, config: SparseNear, rng: np.random
     return np.asarray(rng.random(len(points)) < share)
 
 
-def _kept(points: Points, boxes: Boxes, stays: Bool[np.ndarray, " n"]) -> tuple[Points, Boxes]:
+def _thinned(points: Points, boxes: Boxes, stays: Bool[np.ndarray, " n"]) -> tuple[Points, Boxes]:
     """The points that stay, without the boxes that had points and have none any more."""
-    kept = points[stays]
-    before, after = (count_points_in_boxes(part[:, :3], boxes, margin_m=BOX_MARGIN_M) for part in (points, kept))
-    return kept, boxes[(after > 0) | (before == 0)]
+    left = points[stays]
+    before, after = (count_points_in_boxes(part[:, :3], boxes, margin_m=BOX_MARGIN_M) for part in (points, left))
+    return left, boxes[(after > 0) | (before == 0)]

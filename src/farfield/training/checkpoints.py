@@ -95,23 +95,23 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
         return None
     state = load_checkpoint(path)
     try:
-        theirs, step = json.loads(state["provenance"]), int(state["step"])
-        kept, average, optimizer = _module_states(state), state["average"], state["optimizer"]
+        saved, step = json.loads(state["provenance"]), int(state["step"])
+        modules_state, average, optimizer = _module_states(state), state["average"], state["optimizer"]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FileFormatError(
             path, where="keys", expected="those of farfield train", found=plain(error), mend="Remove it to begin anew."
         ) from error
-    _check_same(path, theirs, provenance, step)
+    _check_same(path, saved, provenance, step)
     if "network" in state:
         average = {f"detector.{name}": value for name, value in average.items()}
-    if set(kept) != set(modules.state_dict()):
+    if set(modules_state) != set(modules.state_dict()):
         raise ConfigError(f"{path} holds other modules than the method: {', '.join(modules)}. Remove it to begin anew.")
-    return TrainingState(step, kept, optimizer, average, theirs)
+    return TrainingState(step, modules_state, optimizer, average, saved)
 
 
-def _check_same(path: Path, theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int) -> None:
+def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, Any], step: int) -> None:
     """Refuse another experiment or other data. More steps than before are the same run, prolonged."""
-    before, now = dict(flat(_today(theirs.get("experiment")))), dict(flat(ours.get("experiment")))
+    before, now = dict(flatten(_current_names(saved.get("experiment")))), dict(flatten(provenance.get("experiment")))
     names = [name for name in {**before, **now} if before.get(name) != now.get(name) and name != STEPS]
     if names:
         changes = [f"{name} was {before.get(name)!r}, is {now.get(name)!r}" for name in sorted(names)[:5]]
@@ -120,7 +120,7 @@ def _check_same(path: Path, theirs: Mapping[str, Any], ours: Mapping[str, Any], 
             f"{path} was made by another experiment: {'; '.join(changes)}{more}. Give this one another name "
             "(-o name=OTHER), set that back, or remove the run's folder."
         )
-    if _fingerprints(theirs) != _fingerprints(ours):
+    if _fingerprints(saved) != _fingerprints(provenance):
         raise ConfigError(
             f"{path} was made of other data: their files or options changed since (data_fingerprint). Give this run "
             "another name (-o name=OTHER), or remove the run's folder."
@@ -129,27 +129,27 @@ def _check_same(path: Path, theirs: Mapping[str, Any], ours: Mapping[str, Any], 
         raise ConfigError(f"{path} has done {step} steps; {STEPS} may be raised, not set to {steps}.")
 
 
-def flat(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+def flatten(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Values of a tree of settings by dotted name.
 
-    >>> dict(flat({"a": {"b": 1, "c": [2, 3]}}))
+    >>> dict(flatten({"a": {"b": 1, "c": [2, 3]}}))
     {'a.b': 1, 'a.c': [2, 3]}
     """
     if isinstance(tree, Mapping) and tree:
         for name, value in tree.items():
-            yield from flat(value, f"{path}.{name}" if path else str(name))
+            yield from flatten(value, f"{path}.{name}" if path else str(name))
     else:
         yield path, tree
 
 
-def prolonged(theirs: Mapping[str, Any], ours: Mapping[str, Any], step: int) -> list[dict[str, int]]:
+def prolonged(saved: Mapping[str, Any], provenance: Mapping[str, Any], step: int) -> list[dict[str, int]]:
     """Where a run's number of steps was raised: ``step`` done, ``from`` and ``to``, earlier ones first."""
-    known = list(theirs.get("prolonged", ()))
-    before, now = (dict(flat(each.get("experiment"))).get(STEPS) for each in (theirs, ours))
-    return known if before == now else [*known, {"step": step, "from": int(before or step), "to": int(now or step)}]
+    earlier = list(saved.get("prolonged", ()))
+    before, now = (dict(flatten(one.get("experiment"))).get(STEPS) for one in (saved, provenance))
+    return earlier if before == now else [*earlier, {"step": step, "from": int(before or step), "to": int(now or step)}]
 
 
-def _today(experiment: Any) -> Any:
+def _current_names(experiment: Any) -> Any:
     """An experiment of an earlier version with its detector's settings under today's names."""
     try:
         described = experiment["detector"]
@@ -162,8 +162,8 @@ def _today(experiment: Any) -> Any:
 def _module_states(state: Mapping[str, Any]) -> dict[str, Tensor]:
     if "network" in state:
         return {f"detector.{name}": value for name, value in state["network"].items()}
-    found = {name.removeprefix("modules/"): value for name, value in state.items() if name.startswith("modules/")}
-    return {name.replace("/", ".", 1): value for name, value in found.items()}
+    states = {name.removeprefix("modules/"): value for name, value in state.items() if name.startswith("modules/")}
+    return {name.replace("/", ".", 1): value for name, value in states.items()}
 
 
 def _fingerprints(provenance: Mapping[str, Any]) -> dict[str, Any]:

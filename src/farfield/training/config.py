@@ -106,12 +106,12 @@ class AugmentationConfig(_Settings):
         return edges_m
 
     @model_serializer(mode="wrap")
-    def _said(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """All settings; the weather only where there is one, so that trainings without are known as before."""
-        said = others(self)
+    def _serialised(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; the weather only where there is one, so that trainings without are recognised as before."""
+        values = others(self)
         if self.weather is None:
-            said.pop("weather", None)
-        return said
+            values.pop("weather", None)
+        return values
 
 
 UNCHANGED = AugmentationConfig(flip_probability=0.0, rotation_rad=0.0, scale=0.0)
@@ -158,7 +158,7 @@ class StartConfig(InitConfig):
     )
 
     @model_validator(mode="after")
-    def _one_way_to_say_rates(self) -> "StartConfig":
+    def _rates_or_decay(self) -> "StartConfig":
         if self.rates and self.layer_decay is not None:
             raise ValueError("expected rates or layer_decay, got both")
         return self
@@ -169,11 +169,12 @@ class StartConfig(InitConfig):
         return dict(self.freeze) if isinstance(self.freeze, dict) else dict.fromkeys(self.freeze, 1.0)
 
     @model_serializer(mode="wrap")
-    def _said(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """All settings; what stands at its default only where it always was said, so that runs are known as before."""
-        said, usual = others(self), type(self).model_fields
-        kept = {name for name in said if getattr(self, name) != usual[name].get_default(call_default_factory=True)}
-        return {name: value for name, value in said.items() if name in kept | {"weights", "freeze"}}
+    def _serialised(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; defaults only where they always were written, so that runs are recognised as before."""
+        values, fields = others(self), type(self).model_fields
+        defaults = {name: fields[name].get_default(call_default_factory=True) for name in values}
+        written = {name for name in values if getattr(self, name) != defaults[name]} | {"weights", "freeze"}
+        return {name: value for name, value in values.items() if name in written}
 
 
 class ValidationConfig(_Settings):
@@ -218,7 +219,7 @@ class TrainingConfig(_Settings):
     )
     far_from_m: float = Field(150.0, gt=0, description="boxes from this range on are far")
     validation: ValidationConfig | None = Field(None, description="scores on held-out frames while it runs")
-    start: StartConfig | None = Field(None, description="weights to start from: what fits is taken, and said")
+    start: StartConfig | None = Field(None, description="weights to start from: what fits is taken, and reported")
     tensorboard: bool = Field(False, description="also log for TensorBoard, into the run's folder")
     seed: int = Field(0, description="of weights, order of frames and all random changes")
 
@@ -237,11 +238,11 @@ class TrainingConfig(_Settings):
         return {**others, "start": {**start, "weights": weights}}
 
     @model_serializer(mode="wrap")
-    def _said(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """All settings; start and validation only where there is one, so that trainings without are known as before."""
-        said = others(self)
+    def _serialised(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; start and validation only where there is one, so that runs without are recognised as before."""
+        values = others(self)
         if self.validation is None:
-            said.pop("validation", None)
+            values.pop("validation", None)
         if self.start is None:
-            said.pop("start", None)
-        return said
+            values.pop("start", None)
+        return values

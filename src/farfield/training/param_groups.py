@@ -93,11 +93,11 @@ def describe_parts(network: nn.Module, config: TrainingConfig) -> list[str]:
             kinds.setdefault((rates[name], last), []).append(parameter.numel())
         for (rate, last), sizes in kinds.items():
             if last >= config.steps:
-                words = "frozen, not in the optimiser"
+                description = "frozen, not in the optimiser"
             else:
-                words = f"rate {rate * config.learning_rate:g} at its peak"
-                words += f", frozen for the first {last} of {config.steps} steps" if last else ""
-            lines.append(f"{part}: {len(sizes)} tensors, {sum(sizes)} parameters, {words}")
+                description = f"rate {rate * config.learning_rate:g} at its peak"
+                description += f", frozen for the first {last} of {config.steps} steps" if last else ""
+            lines.append(f"{part}: {len(sizes)} tensors, {sum(sizes)} parameters, {description}")
     return lines
 
 
@@ -130,23 +130,23 @@ def frozen_names(network: nn.Module, patterns: Collection[str]) -> set[str]:
         ConfigError: If a part holds no parameter, or all of them would be frozen.
     """
     names = [name for name, _ in network.named_parameters()]
-    found: set[str] = set()
+    frozen: set[str] = set()
     for pattern in patterns:
-        found |= within(names, pattern, "training.start.freeze")
-    if found and len(found) == len(names):
+        frozen |= within(names, pattern, "training.start.freeze")
+    if frozen and len(frozen) == len(names):
         raise ConfigError("training.start.freeze: expected some part to train, got every one.")
-    return found
+    return frozen
 
 
 def frozen_modules(network: nn.Module, patterns: Collection[str]) -> list[nn.Module]:
     """The modules of the frozen parts, whose batch statistics stay as they are too."""
     frozen = frozen_names(network, patterns)
-    found = []
+    modules = []
     for name, module in network.named_modules():
         own = [f"{name}.{key}" if name else key for key, _ in module.named_parameters(recurse=False)]
         if any(is_within(name, pattern) for pattern in patterns) or (own and frozen.issuperset(own)):
-            found.append(module)
-    return found
+            modules.append(module)
+    return modules
 
 
 def freeze(network: nn.Module, patterns: Collection[str]) -> None:
@@ -170,11 +170,11 @@ def within(names: Collection[str], pattern: str, where: str) -> set[str]:
     Raises:
         ConfigError: If there is none; it names the setting, ``where``.
     """
-    found = {name for name in names if is_within(name, pattern)}
-    if not found:
+    inside = {name for name in names if is_within(name, pattern)}
+    if not inside:
         parts = ", ".join(dict.fromkeys(name.partition(".")[0] for name in names))
         raise ConfigError(f"{where}: {pattern} is no part of the network; its parts are {parts}.")
-    return found
+    return inside
 
 
 def is_within(name: str, pattern: str) -> bool:

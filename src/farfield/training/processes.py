@@ -132,12 +132,12 @@ class _SyncedNorm(_BatchNorm):
     @classmethod
     def sharing(cls, norm: _BatchNorm) -> "_SyncedNorm":
         """Make one with the parameters and statistics of a plain one."""
-        made = cls(norm.num_features, norm.eps, norm.momentum, norm.affine, norm.track_running_stats)
-        made.weight, made.bias = norm.weight, norm.bias
-        made.running_mean, made.running_var = norm.running_mean, norm.running_var
-        made.num_batches_tracked = norm.num_batches_tracked
-        made.train(norm.training)
-        return made
+        synced = cls(norm.num_features, norm.eps, norm.momentum, norm.affine, norm.track_running_stats)
+        synced.weight, synced.bias = norm.weight, norm.bias
+        synced.running_mean, synced.running_var = norm.running_mean, norm.running_var
+        synced.num_batches_tracked = norm.num_batches_tracked
+        synced.train(norm.training)
+        return synced
 
     def _check_input_dim(self, input: Tensor) -> None:
         """Any number of axes."""

@@ -324,8 +324,8 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         return None if drawn is None else WeatherOverlay(config, self.columns, tuple(self.read.values()), drawn, rng)
 
     def __getstate__(self) -> dict[str, Any]:
-        made = ("_order", "_last", "_bank_order", "_bank")
-        return {key: value for key, value in self.__dict__.items() if key not in made}
+        rebuilt = ("_order", "_last", "_bank_order", "_bank")
+        return {key: value for key, value in self.__dict__.items() if key not in rebuilt}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -82,11 +82,11 @@ class TransferReport:
         )
         groups = [f"{word}: {', '.join(names)}" for word, names in self.classes.items() if names]
         yield from [f"  classes {'; '.join(groups)}"] if groups else []
-        told = [*changed.items(), *self.fresh.items(), *((name, "unused") for name in self.unused)]
-        for name, what in told[:_SHOWN]:
+        tensors_by_name = [*changed.items(), *self.fresh.items(), *((name, "unused") for name in self.unused)]
+        for name, what in tensors_by_name[:_SHOWN]:
             yield f"  {name} {_shape(self.shapes[name])}: {what}"
-        if len(told) > _SHOWN:
-            yield f"  and {len(told) - _SHOWN} more in start.json"
+        if len(tensors_by_name) > _SHOWN:
+            yield f"  and {len(tensors_by_name) - _SHOWN} more in start.json"
         for sentence in self.settings:
             yield f"  setting {sentence}"
 
@@ -135,39 +135,39 @@ def start_network(
         ConfigError: If they are another detector's, hold a number that is not finite, or too little of them fits.
     """
     chosen = settings or InitConfig()
-    theirs = _theirs(weights, chosen.rename)
-    if theirs.network is not None:
-        _check_kind(network, theirs.network, theirs.weights)
-    _check_finite(theirs)
+    source = _source_weights(weights, chosen.rename)
+    if source.network is not None:
+        _check_kind(network, source.network, source.weights)
+    _check_finite(source)
     own, tally = network.state_dict(), _TransferTally()
     parameters = {name for name, _ in network.named_parameters()}
-    unsaid = _unsaid(network, theirs.network)
+    undeclared = _undeclared_rows(network, source.network)
     for name, tensor in own.items():
-        done = _fit(name, tensor, theirs, network, chosen, name in unsaid)
-        if isinstance(done, str):
-            tally.fresh[name] = f"fresh: {done}"
+        fit = _fit(name, tensor, source, network, chosen, name in undeclared)
+        if isinstance(fit, str):
+            tally.fresh[name] = f"fresh: {fit}"
             continue
-        kind, count, words = done
+        kind, count, description = fit
         if kind == "taken":
             tally.taken.append(name)
         else:
-            (tally.by_class if kind == "by_class" else tally.adapted)[name] = words
+            (tally.by_class if kind == "by_class" else tally.adapted)[name] = description
         tally.counts[kind] += count if name in parameters else 0
     total = sum(parameter.numel() for parameter in network.parameters())
-    _check_enough(sum(tally.counts.values()) / total, own, theirs, tally, chosen)
-    return _report(network, theirs, tally, total)
+    _check_enough(sum(tally.counts.values()) / total, own, source, tally, chosen)
+    return _report(network, source, tally, total)
 
 
-def _report(network: Network, theirs: _SourceWeights, tally: _TransferTally, total: int) -> TransferReport:
-    own, unused = network.state_dict(), sorted(set(theirs.tensors) - set(network.state_dict()))
+def _report(network: Network, source: _SourceWeights, tally: _TransferTally, total: int) -> TransferReport:
+    own, unused = network.state_dict(), sorted(set(source.tensors) - set(network.state_dict()))
     share = sum(tally.counts.values()) / total
-    trained = theirs.network.config if theirs.network is not None else None
+    trained = source.network.config if source.network is not None else None
     names, others = network.config.class_names, set(trained.class_names) if trained is not None else set()
     classes = {"shared": [n for n in names if n in others], "fresh": [n for n in names if n not in others]}
     differences = () if trained is None else _differences(trained.model_dump(), network.config.model_dump())
     return TransferReport(
-        weights=theirs.weights,
-        sha256=theirs.sha256,
+        weights=source.weights,
+        sha256=source.sha256,
         share=share,
         shares={**{kind: count / total for kind, count in tally.counts.items()}, "fresh": 1.0 - share},
         taken=tally.taken,
@@ -176,7 +176,7 @@ def _report(network: Network, theirs: _SourceWeights, tally: _TransferTally, tot
         fresh=tally.fresh,
         unused=unused,
         shapes={
-            **{name: list(theirs.tensors[name].shape) for name in unused},
+            **{name: list(source.tensors[name].shape) for name in unused},
             **{name: list(tensor.shape) for name, tensor in own.items()},
         },
         classes=classes if trained is not None else {},
@@ -184,7 +184,7 @@ def _report(network: Network, theirs: _SourceWeights, tally: _TransferTally, tot
     )
 
 
-def _theirs(weights: str | Mapping[str, Tensor], rename: Mapping[str, str]) -> _SourceWeights:
+def _source_weights(weights: str | Mapping[str, Tensor], rename: Mapping[str, str]) -> _SourceWeights:
     """The weights' tensors under the names that they have here."""
     if not isinstance(weights, str):
         return _SourceWeights(weights="tensors in memory", sha256="", tensors=_renamed(weights, rename))
@@ -203,85 +203,85 @@ def _theirs(weights: str | Mapping[str, Tensor], rename: Mapping[str, str]) -> _
 
 
 def _renamed(tree: Mapping[str, Any], rename: Mapping[str, str]) -> dict[str, Any]:
-    """The longest beginning that fits counts; it ends where a word does."""
-    found = {}
+    """Names with their longest beginning that ``rename`` has exchanged; beginnings end at a dot."""
+    renamed = {}
     for name, value in tree.items():
         fitting = [old for old in rename if name == old or name.startswith(f"{old}.") or not old]
         old = max(fitting, key=len, default=None)
-        found[name if old is None else (rename[old] + name[len(old) :]).removeprefix(".")] = value
-    return found
+        renamed[name if old is None else (rename[old] + name[len(old) :]).removeprefix(".")] = value
+    return renamed
 
 
 def _fit(
-    name: str, own: Tensor, theirs: _SourceWeights, network: Network, chosen: InitConfig, other_classes: bool
+    name: str, own: Tensor, source: _SourceWeights, network: Network, chosen: InitConfig, other_classes: bool
 ) -> tuple[str, int, str] | str:
     """Change a tensor in place: what was done, how many values were taken, in words; or why it stays fresh."""
-    other, rows, columns = theirs.tensors.get(name), network.class_rows(), network.input_columns()
+    other, rows, columns = source.tensors.get(name), network.class_rows(), network.input_columns()
     if any(is_within(name, pattern) for pattern in chosen.skip):
         return "left out by training.start.skip"
     if chosen.head == "fresh" and (name.startswith("head.") or name in rows):
         return "training.start.head is fresh"
     if other is None:
         return "the weights have no such tensor"
-    like = nearest_sizes(network.config.anchor_sizes_m, theirs.sizes_m)
-    pairs = _OTHER if other_classes else _pairs(rows.get(name), theirs.rows.get(name), own, other, like)
+    like = nearest_sizes(network.config.anchor_sizes_m, source.sizes_m)
+    pairs = _OTHER if other_classes else _pairs(rows.get(name), source.rows.get(name), own, other, like)
     if not isinstance(pairs, str) and pairs is not None:
-        axis, here, there, words = pairs
+        axis, here, there, description = pairs
         own.movedim(axis, 0)[here] = other.movedim(axis, 0)[there].to(own.dtype)
         count = own.numel() // own.shape[axis] * len(here)
-        return "by_class", count, f"{len(here)} of {own.shape[axis]} rows, by class{words}"
-    mine, known = columns.get(name), theirs.columns.get(name)
-    named_alike = mine is None or known is None or list(mine[1]) == list(known[1])
+        return "by_class", count, f"{len(here)} of {own.shape[axis]} rows, by class{description}"
+    own_columns, source_columns = columns.get(name), source.columns.get(name)
+    named_alike = own_columns is None or source_columns is None or list(own_columns[1]) == list(source_columns[1])
     if pairs is None and own.shape == other.shape and named_alike:
         own.copy_(other)
         return "taken", own.numel(), ""
-    made = None
+    fitted = None
     if pairs != _OTHER and name not in rows:
-        made = _made_to_fit(name, own, other, theirs, columns, chosen)
-    if made is None:
+        fitted = _made_to_fit(name, own, other, source, columns, chosen)
+    if fitted is None:
         return pairs or f"{tuple(other.shape)} there, {tuple(own.shape)} here"
-    own.copy_(made[0])
-    return "adapted", made[1], made[2]
+    own.copy_(fitted[0])
+    return "adapted", fitted[1], fitted[2]
 
 
 def _made_to_fit(
-    name: str, own: Tensor, other: Tensor, theirs: _SourceWeights, columns: InputColumns, chosen: InitConfig
+    name: str, own: Tensor, other: Tensor, source: _SourceWeights, columns: InputColumns, chosen: InitConfig
 ) -> tuple[Tensor, int, str] | None:
     """A tensor of other columns or another kernel; None where there is no rule."""
-    reads = name in columns if columns else name == next((n for n, t in theirs.tensors.items() if t.ndim > 1), None)
+    reads = name in columns if columns else name == next((n for n, t in source.tensors.items() if t.ndim > 1), None)
     if not reads or (own.shape == other.shape and chosen.inputs != "match"):
         return by_kernel(own, other)
     if chosen.inputs == "fresh":
         return None
-    found = by_columns(own, other, columns.get(name), theirs.columns.get(name)) if chosen.inputs == "match" else None
-    unnamed = chosen.inputs == "average" or name not in theirs.columns or name not in columns
-    found = by_average(own, other) if found is None and unnamed else found
-    return found if found is not None else by_kernel(own, other)
+    fitted = by_columns(own, other, columns.get(name), source.columns.get(name)) if chosen.inputs == "match" else None
+    unnamed = chosen.inputs == "average" or name not in source.columns or name not in columns
+    fitted = by_average(own, other) if fitted is None and unnamed else fitted
+    return fitted if fitted is not None else by_kernel(own, other)
 
 
-def _check_finite(theirs: _SourceWeights) -> None:
+def _check_finite(source: _SourceWeights) -> None:
     """Refuse weights of a training that went astray."""
-    for name, tensor in theirs.tensors.items():
+    for name, tensor in source.tensors.items():
         if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
             raise ConfigError(
-                f"training.start: {theirs.weights} holds numbers that are not finite, the first in {name}: its "
+                f"training.start: {source.weights} holds numbers that are not finite, the first in {name}: its "
                 "training went astray. Take weights of an earlier checkpoint."
             )
 
 
 def _check_enough(
-    share: float, own: Mapping[str, Tensor], theirs: _SourceWeights, tally: _TransferTally, chosen: InitConfig
+    share: float, own: Mapping[str, Tensor], source: _SourceWeights, tally: _TransferTally, chosen: InitConfig
 ) -> None:
     """Refuse weights of which too little fits, with the names that are nearest to what was looked for."""
     if share > 0 and share >= chosen.least_taken:
         return
     largest = max(tally.fresh, key=lambda name: own[name].numel(), default=next(iter(own)))
     why = tally.fresh.get(largest, "")
-    near = sorted(theirs.tensors, key=lambda name: -SequenceMatcher(None, largest, name, autojunk=False).ratio())[:3]
-    nearest = ", ".join(f"{name} {_shape(theirs.tensors[name].shape)}" for name in near)
+    near = sorted(source.tensors, key=lambda name: -SequenceMatcher(None, largest, name, autojunk=False).ratio())[:3]
+    nearest = ", ".join(f"{name} {_shape(source.tensors[name].shape)}" for name in near)
     amount = f"{100 * share:.1f} % of the parameters fit" if share else "nothing fits"
     raise ConfigError(
-        f"training.start: of {theirs.weights} {amount}, expected at least {100 * chosen.least_taken:g} %. "
+        f"training.start: of {source.weights} {amount}, expected at least {100 * chosen.least_taken:g} %. "
         f"{largest} {_shape(own[largest].shape)} is {why}; nearest there: {nearest}. "
         "Say what is called otherwise in training.start.rename, or lower training.start.least_taken."
     )
@@ -299,7 +299,7 @@ def _check_kind(network: Network, trained: Network, weights: str) -> None:
         )
 
 
-def _unsaid(network: Network, trained: Network | None) -> set[str]:
+def _undeclared_rows(network: Network, trained: Network | None) -> set[str]:
     """Tensors that may be of other classes, where the detector does not say which rows belong to which: its head's.
 
     Raises:
@@ -307,54 +307,54 @@ def _unsaid(network: Network, trained: Network | None) -> set[str]:
     """
     if trained is None or network.class_rows() or network.config.class_names == trained.config.class_names:
         return set()
-    found = {name for name in network.state_dict() if name.startswith("head.")}
-    if not found:
+    names = {name for name in network.state_dict() if name.startswith("head.")}
+    if not names:
         raise ConfigError(
             f"training.start: the classes differ, and {network.config.name} says neither class_rows() nor has it a "
             "submodule head. Define class_rows() in its network, or keep the weights' classes."
         )
-    return found
+    return names
 
 
 def _pairs(
-    mine: tuple[int, Sequence[Any]] | None,
-    known: tuple[int, Sequence[Any]] | None,
+    own_rows: tuple[int, Sequence[Any]] | None,
+    source_rows: tuple[int, Sequence[Any]] | None,
     own: Tensor,
     other: Tensor,
     like: Mapping[str, str],
 ) -> tuple[int, list[int], list[int], str] | str | None:
-    """Rows to take, their rows there, along which axis, in words; None for the whole, a text for nothing and why."""
+    """Rows to take, their rows there, their axis, in words; None for the whole, a text for nothing and why."""
     shapes = f"{tuple(other.shape)} there, {tuple(own.shape)} here"
-    if mine is None or known is None or list(mine[1]) == list(known[1]):
+    if own_rows is None or source_rows is None or list(own_rows[1]) == list(source_rows[1]):
         return None if own.shape == other.shape else shapes
-    (axis, names), (_, others) = mine, known
+    (axis, names), (_, others) = own_rows, source_rows
     rest, rest_there = (tuple(t.shape[:axis] + t.shape[axis + 1 :]) for t in (own, other))
     if rest != rest_there or len(names) != own.shape[axis] or len(others) != other.shape[axis]:
         return shapes
-    place, pairs, sized = {name: row for row, name in enumerate(others)}, list[tuple[int, int]](), dict[str, str]()
+    row_of, pairs, sized = {name: row for row, name in enumerate(others)}, list[tuple[int, int]](), dict[str, str]()
     for row, name in enumerate(names):
-        if name not in place and isinstance(name, AnchorRow) and name.label in like:
+        if name not in row_of and isinstance(name, AnchorRow) and name.label in like:
             sized[name.label] = like[name.label]
             name = name._replace(label=like[name.label])
-        if name in place:
-            pairs.append((row, place[name]))
-    words = "".join(f"; anchor of {new} from {old}, nearest in size" for new, old in sized.items())
-    return (axis, [row for row, _ in pairs], [row for _, row in pairs], words) if pairs else "no class of theirs"
+        if name in row_of:
+            pairs.append((row, row_of[name]))
+    description = "".join(f"; anchor of {new} from {old}, nearest in size" for new, old in sized.items())
+    return (axis, [row for row, _ in pairs], [row for _, row in pairs], description) if pairs else "no class of theirs"
 
 
-def nearest_sizes(mine_m: Mapping[str, Sequence[float]], theirs_m: Mapping[str, Sequence[float]]) -> dict[str, str]:
-    """For each class of ours that is none of theirs, that of theirs whose anchor is nearest in size.
+def nearest_sizes(own_m: Mapping[str, Sequence[float]], source_m: Mapping[str, Sequence[float]]) -> dict[str, str]:
+    """For each class that the source does not have, the source's whose anchor is nearest in size.
 
     Nearest is the least sum, over length, width and height, of the logarithm of the two sizes' ratio, without sign.
 
     Args:
-        mine_m: Length, width and height of our anchors, metres, by class.
-        theirs_m: The same of theirs.
+        own_m: Length, width and height of the network's anchors, metres, by class.
+        source_m: The same of the source's.
     """
     return {
-        name: min(theirs_m, key=partial(_unlike, size, theirs_m))
-        for name, size in mine_m.items()
-        if name not in theirs_m and theirs_m
+        name: min(source_m, key=partial(_unlike, size, source_m))
+        for name, size in own_m.items()
+        if name not in source_m and source_m
     }
 
 
@@ -362,14 +362,14 @@ def _unlike(size_m: Sequence[float], others_m: Mapping[str, Sequence[float]], na
     return sum(abs(math.log(one / other)) for one, other in zip(size_m, others_m[name], strict=True))
 
 
-def _differences(theirs: Mapping[str, Any], ours: Mapping[str, Any], where: str = "") -> Iterator[str]:
+def _differences(source: Mapping[str, Any], own: Mapping[str, Any], where: str = "") -> Iterator[str]:
     """Settings in which two configurations differ, but for those that only choose boxes."""
-    for name in dict.fromkeys([*theirs, *ours]):
-        old, new, place = theirs.get(name), ours.get(name), f"{where}{name}"
+    for name in dict.fromkeys([*source, *own]):
+        old, new, key = source.get(name), own.get(name), f"{where}{name}"
         if isinstance(old, dict) and isinstance(new, dict):
-            yield from _differences(old, new, f"{place}.")
-        elif old != new and place not in _SHAPELESS:
-            yield f"{place}: {old}, now {new}"
+            yield from _differences(old, new, f"{key}.")
+        elif old != new and key not in _SHAPELESS:
+            yield f"{key}: {old}, now {new}"
 
 
 # One tensor made to fit another network's. A response is preserved where it can be: a new column starts at zero, an
@@ -379,35 +379,37 @@ _SPARSE_KERNELS = {1: (0, 0), 9: (0, 1), 27: (1, 1)}  # offsets of a sparse conv
 _Named = tuple[int, Sequence[Any]] | None
 
 
-def by_columns(own: Tensor, other: Tensor, mine: _Named, theirs: _Named) -> tuple[Tensor, int, str] | None:
+def by_columns(
+    own: Tensor, other: Tensor, own_columns: _Named, source_columns: _Named
+) -> tuple[Tensor, int, str] | None:
     """Columns of the input taken by their names; new ones start at zero, those that are gone are dropped.
 
     Args:
         own: The tensor to fit.
-        other: Theirs.
-        mine: Axis of its columns, and their names.
-        theirs: The same of theirs.
+        other: The source's.
+        own_columns: Axis of its columns, and their names.
+        source_columns: The same of the source.
 
     Returns:
         The values, how many of them were taken, and what was done; None where names or shapes do not allow it.
     """
-    if mine is None or theirs is None or mine[0] != theirs[0]:
+    if own_columns is None or source_columns is None or own_columns[0] != source_columns[0]:
         return None
-    (axis, names), (_, others) = mine, theirs
+    (axis, names), (_, others) = own_columns, source_columns
     if not _alike_but(own, other, axis) or own.shape[axis] != len(names) or other.shape[axis] != len(others):
         return None
-    place = {name: number for number, name in enumerate(others)}
-    here = [number for number, name in enumerate(names) if name in place]
+    column_of = {name: number for number, name in enumerate(others)}
+    here = [number for number, name in enumerate(names) if name in column_of]
     if not here:
         return None
     value = torch.zeros_like(own)
     rows = other.to(own.dtype).movedim(axis, 0)
-    value.movedim(axis, 0)[here] = rows[[place[names[number]] for number in here]]
-    new = [str(name) for name in names if name not in place]
+    value.movedim(axis, 0)[here] = rows[[column_of[names[number]] for number in here]]
+    new = [str(name) for name in names if name not in column_of]
     gone = [str(name) for name in others if name not in set(names)]
-    words = [f"{word} {_few(found)}" for word, found in (("at zero:", new), ("dropped:", gone)) if found]
-    said = f"columns by name; {'; '.join(words)}" if words else "columns by name, in another order"
-    return value, own.numel() // own.shape[axis] * len(here), said
+    changes = [f"{word} {_few(columns)}" for word, columns in (("at zero:", new), ("dropped:", gone)) if columns]
+    description = f"columns by name; {'; '.join(changes)}" if changes else "columns by name, in another order"
+    return value, own.numel() // own.shape[axis] * len(here), description
 
 
 def by_average(own: Tensor, other: Tensor, axis: int = 1) -> tuple[Tensor, int, str] | None:
@@ -415,7 +417,7 @@ def by_average(own: Tensor, other: Tensor, axis: int = 1) -> tuple[Tensor, int, 
 
     Args:
         own: The tensor to fit.
-        other: Theirs.
+        other: The source's.
         axis: Of the columns.
 
     Returns:
@@ -433,25 +435,25 @@ def by_kernel(own: Tensor, other: Tensor) -> tuple[Tensor, int, str] | None:
 
     Args:
         own: A convolution's weights, shape (out, in, *kernel), or a sparse one's, shape (offsets, in, out).
-        other: Theirs.
+        other: The source's.
 
     Returns:
         As :func:`by_columns`.
     """
     if own.ndim == 3 and other.ndim == 3 and own.shape[1:] == other.shape[1:]:
-        mine, theirs = _sparse_grid(own), _sparse_grid(other)
-        if mine is None or theirs is None:
+        own_grid, source_grid = _sparse_grid(own), _sparse_grid(other)
+        if own_grid is None or source_grid is None:
             return None
-        value = _laid(mine, theirs)
+        value = _centred(own_grid, source_grid)
         count = min(own.shape[0], other.shape[0]) * own[0].numel()
         return value.movedim((2, 3, 4), (0, 1, 2)).reshape(own.shape), count, _sizes(own.shape[:1], other.shape[:1])
     if own.ndim < 3 or own.shape[:2] != other.shape[:2] or own.ndim - other.ndim not in (0, 1):
         return None
-    flat = other[:, :, None] if own.ndim > other.ndim else other
-    if any(size % 2 == 0 for size in (*own.shape[2:], *flat.shape[2:])):
+    deep = other[:, :, None] if own.ndim > other.ndim else other
+    if any(size % 2 == 0 for size in (*own.shape[2:], *deep.shape[2:])):
         return None  # even kernels have no middle
-    value = _laid(own, flat)
-    common = [min(a, b) for a, b in zip(own.shape[2:], flat.shape[2:], strict=True)]
+    value = _centred(own, deep)
+    common = [min(a, b) for a, b in zip(own.shape[2:], deep.shape[2:], strict=True)]
     count = own.shape[0] * own.shape[1] * int(torch.tensor(common).prod())
     return value, count, _sizes(own.shape[2:], other.shape[2:])
 
@@ -470,14 +472,14 @@ def _sparse_grid(weight: Tensor) -> Tensor | None:
     return weight.view(*sizes, *weight.shape[1:]).movedim((0, 1, 2), (2, 3, 4))
 
 
-def _laid(own: Tensor, other: Tensor) -> Tensor:
+def _centred(own: Tensor, other: Tensor) -> Tensor:
     """A kernel's middle in the middle of zeros, of the same number of dimensions."""
     value = torch.zeros_like(own)
     here, there = [slice(None)] * 2, [slice(None)] * 2
-    for mine, theirs in zip(own.shape[2:], other.shape[2:], strict=True):
-        size = min(mine, theirs)
-        here.append(slice((mine - size) // 2, (mine + size) // 2))
-        there.append(slice((theirs - size) // 2, (theirs + size) // 2))
+    for own_size, other_size in zip(own.shape[2:], other.shape[2:], strict=True):
+        size = min(own_size, other_size)
+        here.append(slice((own_size - size) // 2, (own_size + size) // 2))
+        there.append(slice((other_size - size) // 2, (other_size + size) // 2))
     value[tuple(here)] = other[tuple(there)].to(own.dtype)
     return value
 

@@ -1,6 +1,6 @@
 """Weather laid over training frames, drawn anew for each: fog, rain, snow, ice on the window.
 
-The physics is the simulator's (:mod:`farfield.simulation.overlay`, :mod:`farfield.simulation.overlay`); the
+The physics is the simulator's (:mod:`farfield.simulation.overlay`); the
 weather of a frame, and how many frames get any, are settings. Their defaults lie outside what the simulator's own
 weathers hold, so that a detector that is scored on these has not seen them.
 """
@@ -68,21 +68,21 @@ def inside_presets(config: WeatherConfig) -> list[str]:
 
     The covered share of a window, its patches' widths and their transmission, rates, visibility and film count.
     """
-    found = []
+    overlaps = []
     bounds = preset_bounds()
     spans = {name: getattr(config, name) for name in _RATES} | {"drops": config.drops}
     for name, (low, high) in spans.items():
         for condition, (least, most) in bounds.get("coverage" if name == "drops" else name, {}).items():
             if low <= most and high >= least:
-                found.append(f"{name} {low:g} to {high:g}: {condition} has {least:.3g} to {most:.3g}")
+                overlaps.append(f"{name} {low:g} to {high:g}: {condition} has {least:.3g} to {most:.3g}")
     low, high = config.transmission
     if low <= BLOCKED_TRANSMISSION <= high:
-        found.append(f"transmission {low:g} to {high:g}: the presets' is {BLOCKED_TRANSMISSION:g}")
+        overlaps.append(f"transmission {low:g} to {high:g}: the presets' is {BLOCKED_TRANSMISSION:g}")
     for name, kind in (("patches_deg", "ice"), ("drops_deg", "drop")):
         for (low, high), width in zip(getattr(config, name), WIDTHS_DEG[kind], strict=True):
             if low <= width <= high:
-                found.append(f"{name} {low:g} to {high:g}: the presets' is {width:g}")
-    return found
+                overlaps.append(f"{name} {low:g} to {high:g}: the presets' is {width:g}")
+    return overlaps
 
 
 def check_weather(config: WeatherConfig | None, inputs: Mapping[str, CloudInput]) -> None:
@@ -93,7 +93,7 @@ def check_weather(config: WeatherConfig | None, inputs: Mapping[str, CloudInput]
     """
     if config is None or not config.probability or config.sensor is not None:
         return
-    lidars = [name for name, each in inputs.items() if POWER not in each.columns]
+    lidars = [name for name, cloud in inputs.items() if POWER not in cloud.columns]
     if lidars:
         raise ConfigError(
             f"weather: expected sensor, the LiDAR of {', '.join(lidars)}, to be one of {', '.join(LIDARS)}; got none."
@@ -130,15 +130,15 @@ def lay_over(
         options = {"floor_rise_db": laid.floor_rise_db}
         weaker[:, power] = overlay_cells(points[:, :3], points[:, power], RadarModel(), laid.weather, rng, **options)
         return weaker, np.ones(len(points), dtype=np.bool_)
-    place = list(columns).index(INTENSITY) if INTENSITY in columns else None
-    shown = np.full(len(points), config.reflectance, points.dtype) if place is None else points[:, place]
+    index = list(columns).index(INTENSITY) if INTENSITY in columns else None
+    shown = np.full(len(points), config.reflectance, points.dtype) if index is None else points[:, index]
     over = overlay(points[:, :3], shown, LIDARS[config.sensor or ""], laid, rng, origin_m=config.origin_m)
     left = points[over.survives]
     added = np.zeros((len(over.points_m), points.shape[1]), dtype=points.dtype)
     added[:, :3] = over.points_m
-    if place is not None:
-        left[:, place] *= over.gain[over.survives]
-        added[:, place] = over.intensity
+    if index is not None:
+        left[:, index] *= over.gain[over.survives]
+        added[:, index] = over.intensity
     return np.concatenate([left, added]), over.survives
 
 
@@ -167,10 +167,10 @@ class WeatherOverlay:
             rows = points[points[:, -1] == part]
             read = self.inputs[int(part) % len(self.inputs)]
             named = [column if column in read else "" for column in self.columns]
-            table, kept = lay_over(rows, named, self.config, self.laid, self.rng)
+            table, remaining = lay_over(rows, named, self.config, self.laid, self.rng)
             table[:, -1] = part
             changed.append(table)
-            left.append(rows[kept, :3])
+            left.append(rows[remaining, :3])
         if not changed:
             return points, boxes
         return np.concatenate(changed), boxes[holding(points[:, :3], np.concatenate(left), boxes)]

@@ -18,7 +18,6 @@ from typing import Any
 
 from farfield.adaptation.failure_modes import diagnose_log
 from farfield.adaptation.pseudo_labels import check_ignores
-from farfield.adaptation.thresholds import thresholds_of
 from farfield.datasets import Dataset, open_dataset
 from farfield.datasets.maps import WholeBodies
 from farfield.detectors.runtime import Detector
@@ -26,19 +25,19 @@ from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation import as_trained, detect, suitable_clouds
 from farfield.experiments.adapting.options import (
-    SETTLED,
+    THRESHOLDS,
     AdaptationOptions,
     CalibratedThresholds,
-    choices_of,
-    load_settled,
-    save_settled,
+    load_thresholds,
+    options_of,
+    save_thresholds,
 )
 from farfield.experiments.adapting.report import HeldOutFrames, held_frames, held_scores, page_of
 from farfield.experiments.adapting.rounds import (
     check_round,
-    counted,
     experiment_of_round,
     measured_step_s,
+    pseudo_label_rates,
     rare_classes,
     steps_in,
     steps_wanted,
@@ -50,13 +49,14 @@ from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
 from farfield.jobs import JobOptions
 from farfield.metrics.detections import Detections
+from farfield.metrics.score_calibration import thresholds_of
 from farfield.pages.training_pages import HeldScores
 from farfield.simulation.recording.frames import bytes_needed
 from farfield.simulation.recording.recorder import planned_recording
 from farfield.training.report import TrainingReport
 
 WEIGHTS, PAGE, SCORES = "weights.safetensors", "report.html", "scores.json"
-_OURS = re.compile(rf"{SETTLED}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
+_OURS = re.compile(rf"{THRESHOLDS}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,10 +165,10 @@ def _job(
     began = time.monotonic()
     job = AdaptationJob(
         start=str(detector),
-        given=None if source is None else Path(source),
+        labelled_source=None if source is None else Path(source),
         data=data if isinstance(data, Dataset) else open_dataset(data),
         folder=folder,
-        choices=choices_of(choices),
+        choices=options_of(choices),
         bulk=bulk or JobOptions(),
         report=report or TrainingReport(),
         began=began,
@@ -196,7 +196,7 @@ def check_folder(folder: Path) -> None:
     """
     names = {path.name for path in folder.iterdir()} if folder.exists() else set()
     strange = sorted(name for name in names if not _OURS.fullmatch(name))
-    if WEIGHTS in names and SETTLED not in names:
+    if WEIGHTS in names and THRESHOLDS not in names:
         strange.append(WEIGHTS)
     if strange:
         raise ConfigError(
@@ -211,7 +211,7 @@ class AdaptationJob:
 
     Args:
         start: The detector's weights.
-        given: A labelled source; None simulates it.
+        labelled_source: A labelled source; None simulates it.
         data: The target as it was opened.
         folder: Where it is done.
         choices: What was chosen.
@@ -222,7 +222,7 @@ class AdaptationJob:
     """
 
     start: str
-    given: Path | None
+    labelled_source: Path | None
     data: Dataset
     folder: Path
     choices: AdaptationOptions
@@ -246,13 +246,13 @@ class AdaptationJob:
         """Settings and frames of the target, as the detector sees them."""
         if not len(self.data):
             raise DatasetError(f"{self.data.root}: expected frames to adapt to, found none.")
-        seen: Dataset = as_trained(self.data, self.detector.info)
-        seen = seen.select(spread(len(seen), self.choices.frames))
-        clouds = self.choices.clouds or suitable_clouds(self.detector.info, seen[0])[:1]
+        frames: Dataset = as_trained(self.data, self.detector.info)
+        frames = frames.select(spread(len(frames), self.choices.frames))
+        clouds = self.choices.clouds or suitable_clouds(self.detector.info, frames[0])[:1]
         options = dict(self.data.options)
-        if self.detector.reference in (*seen.references, seen[0].reference):
+        if self.detector.reference in (*frames.references, frames[0].reference):
             options["reference"] = self.detector.reference
-        return DataConfig(path=self.data.root, clouds=clouds, options=options), seen
+        return DataConfig(path=self.data.root, clouds=clouds, options=options), frames
 
     @cached_property
     def source(self) -> tuple[DataConfig, Dataset]:
@@ -264,7 +264,7 @@ class AdaptationJob:
             self.detector,
             self.learnt,
             self.folder,
-            given=self.given,
+            labelled=self.labelled_source,
             frames=self.choices.source_frames,
             seed=self.choices.seed,
             name=self.start,
@@ -299,39 +299,43 @@ class AdaptationJob:
                 f"adapt: expected a detector that reads one cloud; {self.start} reads {', '.join(inputs)}."
             )
         check_ignores(self.detector.network)
-        if self.given is None:
+        if self.labelled_source is None:
             simulation_of(self.learnt, self.choices.source_frames, self.choices.seed, self.start)
         elif self.choices.whole_bodies:
             _ = self.source  # tells them, or says that it does not
         config, frames = self.target
-        for each in config.clouds:
-            self.detector.with_cloud(each)(frames[0])  # reads it, or says why it cannot
+        for cloud in config.clouds:
+            self.detector.with_cloud(cloud)(frames[0])  # reads it, or says why it cannot
         if self.held is not None:
             as_trained(self.held.frames, self.detector.info)[0].cloud(next(iter(config.clouds)))
 
     def dry_run(self) -> list[str]:
         """What is to be done, in lines; as many rounds and steps as are chosen, which --minutes may lower."""
         choices, steps = self.choices, steps_wanted(self.choices, self.learnt)
-        lines = ["source: the labelled frames of " + str(self.given)] if self.given is not None else []
-        if self.given is None:
-            wanted = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
-            recording = planned_recording(wanted, self.folder / FOLDER)
+        if self.labelled_source is not None:
+            source = f"the labelled frames of {self.labelled_source}"
+        else:
+            simulation = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
+            recording = planned_recording(simulation, self.folder / FOLDER)
             room = bytes_needed(recording, sum(recording.plan)) / 1e9
-            lines.append(f"source: {sum(recording.plan)} frames of {wanted.preset}, simulated, at most {room:.2f} GB")
+            source = f"{sum(recording.plan)} frames of {simulation.preset}, simulated, at most {room:.2f} GB"
         searched = f"{len(self.target[1])} sweeps searched {choices.rounds + 1} times"
         limit = f", or fewer: {choices.minutes:g} minutes" if choices.minutes else ""
-        return [*lines, f"{searched}, {choices.rounds} rounds of {steps} steps{limit}"]
+        return [f"source: {source}", f"{searched}, {choices.rounds} rounds of {steps} steps{limit}"]
 
     def run(self) -> AdaptationResult:
-        """Do all that is not done yet."""
-        settled = self.settled()
-        found = [self.search(self.start, 0)]
+        """Do all that is not done yet: thresholds, rounds of pseudo-labels and training, weights, scores, page."""
+        # 1. Thresholds of the pseudo-labels, from the scores on labelled source frames
+        calibration = self.calibrated()
+        # 2. Rounds: the target is searched, and a student learns what its teacher detected
+        detections = [self.search(self.start, 0)]
         for number in range(1, self.choices.rounds + 1):
-            check_round(found[-1].boxes, settled, number, self.streams, self.clouds)
-            self.say_round(number, found[-1], settled)
-            found.append(self.search(self.train(number, settled, found[-1]), number))
-        self.say_round(0, found[-1], settled)
-        weights, rows = self.export(settled), self.rows()
+            check_round(detections[-1].boxes, calibration, number, self.streams, self.clouds)
+            self.say_round(number, detections[-1], calibration)
+            detections.append(self.search(self.train(number, calibration, detections[-1]), number))
+        self.say_round(0, detections[-1], calibration)
+        # 3. Weights, scores on labelled frames, and the page
+        weights, rows = self.export(calibration), self.rows()
         signs = tuple(diagnose_log(rows))
         scores = self.scores(weights)
         page = page_of(
@@ -340,8 +344,8 @@ class AdaptationJob:
             detector=self.detector,
             data=self.streams,
             clouds=self.clouds,
-            settled=settled,
-            found=found,
+            calibration=calibration,
+            detections_by_round=detections,
             rows=rows,
             signs=signs,
             held=None if self.held is None else self.held.frames,
@@ -351,9 +355,9 @@ class AdaptationJob:
             folder=self.folder,
             weights=weights,
             page=page,
-            before=found[0],
-            after=found[-1],
-            settled=settled,
+            before=detections[0],
+            after=detections[-1],
+            settled=calibration,
             signs=signs,
             scores=scores,
         )
@@ -368,7 +372,7 @@ class AdaptationJob:
                 self.held.frames,
                 cloud=self.clouds["target"],
                 annotated_only=True,
-                bulk=self.doing(f"scoring {name}"),
+                bulk=self.job_options(f"scoring {name}"),
                 journal=self.folder / f".found-held-{name}.jsonl",
             )
             for name, detector in (("before", self.detector), ("after", Detector.load(weights)))
@@ -396,61 +400,63 @@ class AdaptationJob:
             "clouds": list(config["target"].clouds),
         }
 
-    def settled(self) -> CalibratedThresholds:
-        """Thresholds and steps: as they were settled in the folder before, or measured now."""
+    def calibrated(self) -> CalibratedThresholds:
+        """Thresholds and steps: as they were measured in the folder before, or measured now."""
         identity = self.identity()
-        found = load_settled(self.folder, identity)
-        if found is not None:
-            return found
+        earlier = load_thresholds(self.folder, identity)
+        if earlier is not None:
+            return earlier
         as_learnt = self._source(whole_bodies=False)[1]  # thresholds judge the detector by what it learnt
         labelled = detect(
             self.detector,
             as_learnt,
             cloud=self.clouds["source"],
             annotated_only=True,
-            bulk=self.doing("searching the source"),
+            bulk=self.job_options("searching the source"),
             journal=self.folder / ".found-source.jsonl",
         ).counted()
         truth = {key: boxes.relabel(dict(self.learnt.aliases)) for key, boxes in labelled.annotated.items()}
         lowest = float(self.detector.config.score_threshold)
         scores = thresholds_of(labelled.boxes, truth, self.detector.class_names, lowest=lowest)
-        settled = CalibratedThresholds(
+        calibration = CalibratedThresholds(
             settings=identity, **scores._asdict(), source_rate=0.0, steps=steps_wanted(self.choices, self.learnt)
         )
-        settled = settled.model_copy(update={"source_rate": counted(labelled.boxes, settled)[0]})
+        calibration = calibration.model_copy(update={"source_rate": pseudo_label_rates(labelled.boxes, calibration)[0]})
         if self.choices.minutes:
-            settled = self.fitted(settled)
-        save_settled(self.folder, settled)
-        return settled
+            calibration = self.fit_minutes(calibration)
+        save_thresholds(self.folder, calibration)
+        return calibration
 
-    def fitted(self, settled: CalibratedThresholds) -> CalibratedThresholds:
+    def fit_minutes(self, calibration: CalibratedThresholds) -> CalibratedThresholds:
         """As many steps as the minutes allow: a search of the target and a few steps are timed."""
         before = time.monotonic()
-        found = self.search(self.start, 0)
+        detections = self.search(self.start, 0)
         search_s = time.monotonic() - before
-        experiment = self.experiment(1, settled, found)
+        experiment = self.experiment(1, calibration, detections)
         step_s = measured_step_s(experiment, self.streams, self.folder)
         left_s = 60 * self.choices.minutes - (time.monotonic() - self.began) - self.choices.rounds * search_s
-        steps = steps_in(left_s, step_s, self.choices, settled.steps)
+        steps = steps_in(left_s, step_s, self.choices, calibration.steps)
         self.report.say(f"a step takes {step_s:.2f} s: {self.choices.rounds} rounds of {steps} steps")
-        return settled.model_copy(update={"steps": steps, "step_s": step_s})
+        return calibration.model_copy(update={"steps": steps, "step_s": step_s})
 
-    def experiment(self, number: int, settled: CalibratedThresholds, found: Detections) -> Experiment:
-        """The training of a round, whose teacher found so much in the target."""
+    def experiment(self, number: int, calibration: CalibratedThresholds, detections: Detections) -> Experiment:
+        """The training of a round, by what its teacher detected in the target."""
         start = self.start if number == 1 else self.folder / f"round-{number - 1}" / WEIGHTS
         return experiment_of_round(
-            start, self.detector, self.learnt, self.configs, settled, self.choices, number, found.boxes
+            start, self.detector, self.learnt, self.configs, calibration, self.choices, number, detections.boxes
         )
 
-    def train(self, number: int, settled: CalibratedThresholds, found: Detections) -> Path:
+    def train(self, number: int, calibration: CalibratedThresholds, detections: Detections) -> Path:
         """Do a round, or go on with it; gives its weights."""
         folder = self.folder / f"round-{number}"
         if (folder / WEIGHTS).is_file():  # written at the end of a round, whole or not at all
             return folder / WEIGHTS
-        rare = rare_classes(found.boxes, settled)
+        rare = rare_classes(detections.boxes, calibration)
         if rare:
-            self.report.say(f"few sure boxes of {', '.join(rare)}: what is found of these is ignored, not background")
-        return Plan(self.experiment(number, settled, found), folder, self.streams).run(self.report)
+            self.report.say(
+                f"few confident pseudo-labels of {', '.join(rare)}: what is found of these is ignored, not background"
+            )
+        return Plan(self.experiment(number, calibration, detections), folder, self.streams).run(self.report)
 
     def search(self, weights: str | Path, number: int) -> Detections:
         """What weights find in the target, kept in the folder; ``number`` is that of the round that made them."""
@@ -459,22 +465,22 @@ class AdaptationJob:
             detector,
             self.target[1],
             cloud=self.clouds["target"],
-            bulk=self.doing(f"searching the target, {'before' if number == 0 else f'after round {number}'}"),
+            bulk=self.job_options(f"searching the target, {'before' if number == 0 else f'after round {number}'}"),
             journal=self.folder / f".found-{number}.jsonl",
         )
 
-    def doing(self, what: str) -> JobOptions:
+    def job_options(self, what: str) -> JobOptions:
         """Who detects, with a progress bar of that name."""
         workers = self.bulk.workers or int(self.detector.device.type != "cpu")
         return replace(self.bulk, workers=workers, progress=partial(self.report.reading, what=what))
 
-    def say_round(self, number: int, found: Detections, settled: CalibratedThresholds) -> None:
-        """Name the pseudo boxes a sweep beside the source's rate; 0 is the end."""
-        sure, unsure = counted(found.boxes, settled)
+    def say_round(self, number: int, detections: Detections, calibration: CalibratedThresholds) -> None:
+        """Name the pseudo-labels a sweep beside the source's rate; 0 is the end."""
+        confident, ignored = pseudo_label_rates(detections.boxes, calibration)
         when = f"round {number} of {self.choices.rounds}" if number else "in the end"
         self.report.say(
-            f"{when}: {sure:.1f} sure boxes a sweep and {unsure:.1f} unsure ones; the source has "
-            f"{settled.source_rate:.1f} sure ones"
+            f"{when}: {confident:.1f} confident pseudo-labels a sweep and {ignored:.1f} ignored boxes; the source has "
+            f"{calibration.source_rate:.1f} confident ones"
         )
 
     def rows(self) -> list[dict[str, float | int]]:
@@ -486,19 +492,19 @@ class AdaptationJob:
             rows += [{**row, "step": before + row["step"], "round": number} for row in read]
         return rows
 
-    def export(self, settled: CalibratedThresholds) -> Path:
+    def export(self, calibration: CalibratedThresholds) -> Path:
         """Write the last round's weights with all that they come from."""
         network, provenance = load_weights(self.folder / f"round-{self.choices.rounds}" / WEIGHTS)
         adapted = {
             "start": self.start,
             "start_digest": self.detector.digest(),
             "start_trained_on": self.detector.provenance.get("experiment", {}).get("data"),
-            "target_fingerprint": settled.settings["target"],
-            "source_fingerprint": settled.settings["source"],
+            "target_fingerprint": calibration.settings["target"],
+            "source_fingerprint": calibration.settings["source"],
             "choices": self.choices.model_dump(mode="json"),
-            "positive": settled.positive,
-            "negative": settled.negative,
-            "steps_a_round": settled.steps,
+            "positive": calibration.positive,
+            "negative": calibration.negative,
+            "steps_a_round": calibration.steps,
         }
         path = self.folder / WEIGHTS
         state = network.state_dict()

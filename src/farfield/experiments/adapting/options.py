@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 
-SETTLED = "adaptation.json"
-_MINE = ("method.start", "method.positive", "method.negative", "training.steps", "training.devices", "training.seed")
+THRESHOLDS = "adaptation.json"
+_FIXED = ("method.start", "method.positive", "method.negative", "training.steps", "training.devices", "training.seed")
 _OPEN = ("method.", "training.", "augmentation.")
 _LIMIT_BYTES = 1 << 24
 
@@ -49,24 +49,24 @@ class AdaptationOptions(BaseModel):
     @field_validator("overrides")
     @classmethod
     def _free(cls, overrides: tuple[str, ...]) -> tuple[str, ...]:
-        for each in overrides:
-            name = each.partition("=")[0]
-            if name in _MINE or not name.startswith(_OPEN):
+        for override in overrides:
+            name = override.partition("=")[0]
+            if name in _FIXED or not name.startswith(_OPEN):
                 raise ValueError(
-                    f"expected a setting of method, training or augmentation other than {', '.join(_MINE)}; got "
-                    f"{each!r}"
+                    f"expected a setting of method, training or augmentation other than {', '.join(_FIXED)}; got "
+                    f"{override!r}"
                 )
         return overrides
 
 
-def choices_of(given: Mapping[str, Any]) -> AdaptationOptions:
+def options_of(choices: Mapping[str, Any]) -> AdaptationOptions:
     """Check what was chosen.
 
     Raises:
         ConfigError: If a setting is unknown or does not fit.
     """
     try:
-        return AdaptationOptions.model_validate(dict(given))
+        return AdaptationOptions.model_validate(dict(choices))
     except ValidationError as error:
         raise ConfigError(f"adapt: {plain(error)}. It has: {', '.join(AdaptationOptions.model_fields)}.") from error
 
@@ -80,13 +80,13 @@ class CalibratedThresholds(BaseModel):
     positive: dict[str, float]
     negative: dict[str, float]
     measured: tuple[str, ...] = Field(description="classes whose thresholds come from the source's scores")
-    source_rate: float = Field(description="sure boxes a sweep of the source")
+    source_rate: float = Field(description="confident boxes a sweep of the source")
     steps: int = Field(ge=1, description="of a round")
     step_s: float | None = Field(None, description="time of a step, where it was measured")
 
 
-def load_settled(folder: Path, settings: Mapping[str, Any]) -> CalibratedThresholds | None:
-    """Read what was settled in a folder; None where nothing was.
+def load_thresholds(folder: Path, settings: Mapping[str, Any]) -> CalibratedThresholds | None:
+    """Read the thresholds that were measured in a folder; None where there are none.
 
     Args:
         folder: That of the adaptation.
@@ -96,29 +96,30 @@ def load_settled(folder: Path, settings: Mapping[str, Any]) -> CalibratedThresho
         FileFormatError: If the file is damaged.
         ConfigError: If it belongs to another detector, to other data or to other choices.
     """
-    path = folder / SETTLED
+    path = folder / THRESHOLDS
     if not path.is_file():
         return None
     try:
-        found = CalibratedThresholds.model_validate_json(read_bytes(path, max_bytes=_LIMIT_BYTES))
+        thresholds = CalibratedThresholds.model_validate_json(read_bytes(path, max_bytes=_LIMIT_BYTES))
     except ValidationError as error:
         raise FileFormatError(
             path,
             where="the file",
-            expected="what farfield adapt settled",
+            expected="the thresholds of farfield adapt",
             found=plain(error),
             mend="Begin anew with --overwrite.",
         ) from error
-    today = json.loads(json.dumps(dict(settings)))
-    differ = sorted(name for name in {*today, *found.settings} if today.get(name) != found.settings.get(name))
+    current = json.loads(json.dumps(dict(settings)))
+    before = thresholds.settings
+    differ = sorted(name for name in {*current, *before} if current.get(name) != before.get(name))
     if differ:
         raise ConfigError(
             f"{folder}: expected what was begun there, found another adaptation: it differs in {', '.join(differ)}. "
             "Name another folder with --out, or begin anew with --overwrite."
         )
-    return found
+    return thresholds
 
 
-def save_settled(folder: Path, settled: CalibratedThresholds) -> None:
-    """Keep what was settled, all or nothing."""
-    write_text(folder / SETTLED, settled.model_dump_json(indent=1) + "\n")
+def save_thresholds(folder: Path, thresholds: CalibratedThresholds) -> None:
+    """Write the thresholds, whole or not at all."""
+    write_text(folder / THRESHOLDS, thresholds.model_dump_json(indent=1) + "\n")

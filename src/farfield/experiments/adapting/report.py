@@ -1,16 +1,17 @@
 """What the page of an adaptation shows, gathered from what was found before, between and after."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.adaptation.pseudo_labels import levels
 from farfield.datasets import Dataset
 from farfield.errors import ConfigError
 from farfield.experiments.adapting.options import CalibratedThresholds
+from farfield.experiments.adapting.rounds import confident_boxes
+from farfield.experiments.validation import relabel_annotations
 from farfield.frame import Boxes, Key
 from farfield.frame.provenance import environment, is_simulated
 from farfield.metrics import Bootstrap
@@ -25,15 +26,6 @@ if TYPE_CHECKING:
 _EDGES_M = (0.0, 30.0, 70.0, 150.0, 250.0)
 _SHOWN = 4
 _NEAR_M = 2.0
-
-
-def sure_boxes(boxes: Mapping[Key, Boxes], positive: Mapping[str, float]) -> dict[Key, Boxes]:
-    """The boxes whose scores make them objects, by frame."""
-    return {key: each[_score(each) >= levels(dict(positive), each.label)] for key, each in boxes.items()}
-
-
-def _score(boxes: Boxes) -> np.ndarray:
-    return np.zeros(len(boxes)) if boxes.score is None else boxes.score
 
 
 def changes(before: Boxes, after: Boxes) -> int:
@@ -67,27 +59,27 @@ def extents(data: Mapping[str, Dataset], *, scored: bool = False, taught: bool =
         taught: Whether the source's labels taught whole bodies to a detector that knew visible parts.
     """
     used = "labels taught nothing" if scored else "labels were not used"
-    found: dict[str, str] = {}
+    shown: dict[str, str] = {}
     for name in ("source", "target"):
         index = next((n for n in range(len(data[name])) if data[name].has_annotation(n)), None)
         annotation = None if index is None else data[name].annotation(index)
         if annotation is None:
             return ""
-        found[name] = annotation.extent
-    if found["source"] == found["target"]:
+        shown[name] = annotation.extent
+    if shown["source"] == shown["target"]:
         if taught:
             return (
-                f"The target is annotated; its {used}. Its boxes show the {_extent(found['target'])}. So do those of "
+                f"The target is annotated; its {used}. Its boxes show the {_extent(shown['target'])}. So do those of "
                 "the source from which this detector learnt here; before, it drew the part that the sensor sees, and "
                 "part of what it gains in sizes and overlaps is this difference, which needs no sweep of the target."
             )
         return (
-            f"The target is annotated; its {used}. Boxes show the {_extent(found['target'])} in both "
+            f"The target is annotated; its {used}. Boxes show the {_extent(shown['target'])} in both "
             "source and target, so that scores on these labels compare like with like."
         )
     return (
-        f"The target is annotated; its {used}. Its boxes show the {_extent(found['target'])}, those that "
-        f"this detector learnt from the {_extent(found['source'])}: pseudo labels cannot teach the difference, so "
+        f"The target is annotated; its {used}. Its boxes show the {_extent(shown['target'])}, those that "
+        f"this detector learnt from the {_extent(shown['source'])}: pseudo labels cannot teach the difference, so "
         "scores that look at sizes and overlaps stay below those of a detector trained on the target's labels."
     )
 
@@ -103,8 +95,8 @@ def page_of(
     detector: "Detector",
     data: Mapping[str, Dataset],
     clouds: Mapping[str, str],
-    settled: CalibratedThresholds,
-    found: Sequence[Detections],
+    calibration: CalibratedThresholds,
+    detections_by_round: Sequence[Detections],
     rows: Sequence[Mapping[str, float | int]],
     signs: Sequence[str],
     held: Dataset | None = None,
@@ -118,50 +110,53 @@ def page_of(
         detector: The same, loaded.
         data: Frames of ``source`` and ``target``.
         clouds: Which cloud was searched in each.
-        settled: Thresholds and steps.
-        found: What was found in the target before, and after each round.
+        calibration: Thresholds and steps.
+        detections_by_round: What was detections_by_round in the target before, and after each round.
         rows: The rounds' logs.
         signs: Failure modes.
         held: Labelled frames that were not learnt from, if any.
         scores: Scores on them.
     """
     target = data["target"]
-    before, after = (sure_boxes(each.boxes, settled.positive) for each in (found[0], found[-1]))
-    place = {key: index for index, key in enumerate(target.keys)}
+    before, after = (
+        confident_boxes(detections.boxes, calibration.positive)
+        for detections in (detections_by_round[0], detections_by_round[-1])
+    )
+    index_of = {key: index for index, key in enumerate(target.keys)}
     shown = [
-        PseudoLabelFrame(target[place[key]], clouds["target"], before[key], after[key])
+        PseudoLabelFrame(target[index_of[key]], clouds["target"], before[key], after[key])
         for key in most_changed(before, after, _SHOWN)
     ]
     page = AdaptedPage(
         title=f"{start} adapted to {target.root.name}",
         classes=detector.class_names,
         edges_m=edges_to(detector.reach_m),
-        before=found[0].boxes,
-        after=found[-1].boxes,
-        positive=settled.positive,
-        negative=settled.negative,
-        source_rate=settled.source_rate,
-        measured=settled.measured,
+        before=detections_by_round[0].boxes,
+        after=detections_by_round[-1].boxes,
+        positive=calibration.positive,
+        negative=calibration.negative,
+        source_rate=calibration.source_rate,
+        measured=calibration.measured,
         changes=shown,
         rows=rows,
         signs=signs,
         labels=extents(
             data if held is None else {**data, "target": held},
             scored=held is not None,
-            taught=bool(settled.settings.get("whole_bodies")),
+            taught=bool(calibration.settings.get("whole_bodies")),
         ),
         scores=scores,
-        simulated={name: is_simulated(each.root) for name, each in data.items()},
+        simulated={name: is_simulated(frames.root) for name, frames in data.items()},
         settings={
             "detector": start,
             "target": f"{len(target)} frames, cloud {clouds['target']}",
-            "source": f"{len(data['source'])} frames, clouds {', '.join(settled.settings['source_clouds'])}",
-            "rounds": settled.settings["rounds"],
-            "steps of a round": settled.steps,
-            "overrides": settled.settings["overrides"],
-            "seed": settled.settings["seed"],
-            "target's fingerprint": settled.settings["target"],
-            "source's fingerprint": settled.settings["source"],
+            "source": f"{len(data['source'])} frames, clouds {', '.join(calibration.settings['source_clouds'])}",
+            "rounds": calibration.settings["rounds"],
+            "steps of a round": calibration.steps,
+            "overrides": calibration.settings["overrides"],
+            "seed": calibration.settings["seed"],
+            "target's fingerprint": calibration.settings["target"],
+            "source's fingerprint": calibration.settings["source"],
             **environment(),
         },
     )
@@ -198,9 +193,9 @@ def held_frames(labels: Dataset, learnt: Dataset) -> HeldOutFrames:
         ConfigError: If none is left.
     """
     same = labels.root.resolve() == learnt.root.resolve()
-    seen = set(learnt.keys) if same else set()
+    learnt_keys = set(learnt.keys) if same else set()
     annotated = [index for index in range(len(labels)) if labels.has_annotation(index)]
-    left = [index for index in annotated if labels.keys[index] not in seen]
+    left = [index for index in annotated if labels.keys[index] not in learnt_keys]
     if not left:
         why = f"all {len(annotated)} are learnt from" if annotated else f"none of {len(labels)} is annotated"
         raise ConfigError(
@@ -208,7 +203,7 @@ def held_frames(labels: Dataset, learnt: Dataset) -> HeldOutFrames:
             "with --frames, or name labelled frames of other drives."
         )
     drives = {labels.sequences[index] for index in left}
-    return HeldOutFrames(frames=labels.select(left), shared_drives=len(drives & {drive for drive, _ in seen}))
+    return HeldOutFrames(frames=labels.select(left), shared_drives=len(drives & {drive for drive, _ in learnt_keys}))
 
 
 def held_scores(
@@ -223,7 +218,7 @@ def held_scores(
         classes: The detector's classes.
         aliases: Classes of the labels that the detector learnt under another name.
     """
-    sides = [_relabelled(found.counted(), aliases) for found in (before, after)]
+    sides = [relabel_annotations(detections.counted(), aliases) for detections in (before, after)]
     rows, grouped = [], ("sequences", 0)
     for label in classes:
         settings = _settings(label, classes, before.reach_m)
@@ -243,19 +238,12 @@ def held_scores(
     )
 
 
-def _annotated(found: Detections, label: str, settings: Mapping[str, Any]) -> int:
+def _annotated(detections: Detections, label: str, settings: Mapping[str, Any]) -> int:
     """Number of annotated objects of a class that count."""
-    named = {str(name) for each in found.annotated.values() for name in each.relabel(settings["relabel"]).label}
+    named = {str(name) for boxes in detections.annotated.values() for name in boxes.relabel(settings["relabel"]).label}
     if label not in named:
         return 0
-    return int(found.score("dds", **settings, bootstrap=Bootstrap(replicates=0)).counts["annotated"])
-
-
-def _relabelled(found: Detections, aliases: Mapping[str, str]) -> Detections:
-    annotations = {
-        key: replace(each, boxes=each.boxes.relabel(dict(aliases))) for key, each in found.annotations.items()
-    }
-    return replace(found, annotations=annotations)
+    return int(detections.score("dds", **settings, bootstrap=Bootstrap(replicates=0)).counts["annotated"])
 
 
 def _settings(label: str, classes: Sequence[str], reach_m: float | None) -> dict[str, Any]:
@@ -285,9 +273,9 @@ def _row(label: str, annotated: int, name: str, before: ScoreSample, after: Scor
     )
 
 
-def _interval(found: ScoreSample) -> tuple[float, float] | None:
-    known = found.draws[np.isfinite(found.draws)]
-    if found.value is None or len(known) < 2:
+def _interval(sample: ScoreSample) -> tuple[float, float] | None:
+    finite = sample.draws[np.isfinite(sample.draws)]
+    if sample.value is None or len(finite) < 2:
         return None
-    low, high = np.percentile(known, _LEVEL_PERCENT)
+    low, high = np.percentile(finite, _LEVEL_PERCENT)
     return float(low), float(high)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from farfield.adaptation.pseudo_labels import levels, spoken
+from farfield.adaptation.pseudo_labels import levels, scores_of, split_by_score, threshold_text
 from farfield.datasets import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.experiments.adapting.options import AdaptationOptions, CalibratedThresholds
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 _SHARE, _MOST, _LEAST = 0.25, 1000, 100  # of the source's steps, and the bounds of that
 _FEWEST = 20  # steps of a round
-_RARE = 20  # sure boxes of a class in the whole target
+_RARE = 20  # confident pseudo-labels of a class in the whole target
 _MEASURED = 6
 _MARGIN = 0.9  # of the time that is left
 _SOUNDED = 5  # frames of which the points' heights are compared
-_KEPT = ("batch_size", "weight_decay", "gradient_clip", "min_points", "far_sampling", "far_from_m")
+_INHERITED = ("batch_size", "weight_decay", "gradient_clip", "min_points", "far_sampling", "far_from_m")
 
 
 def steps_wanted(choices: AdaptationOptions, learnt: TrainingHistory) -> int:
@@ -37,7 +37,7 @@ def steps_wanted(choices: AdaptationOptions, learnt: TrainingHistory) -> int:
     return max(1, total // choices.rounds)
 
 
-def steps_in(seconds: float, step_s: float, choices: AdaptationOptions, wanted: int) -> int:
+def steps_in(seconds: float, step_s: float, choices: AdaptationOptions, most: int) -> int:
     """Steps of a round for which the time suffices.
 
     Raises:
@@ -45,14 +45,14 @@ def steps_in(seconds: float, step_s: float, choices: AdaptationOptions, wanted: 
             it next to nothing, which makes it worse.
     """
     fitting = int(_MARGIN * seconds / step_s / choices.rounds)
-    least = min(wanted, _FEWEST)
+    least = min(most, _FEWEST)
     if fitting < least:
         raise ConfigError(
             f"--minutes: expected enough for {least} steps in each of {choices.rounds} rounds; of {choices.minutes:g} "
             f"minutes {max(seconds, 0):.0f} s are left for training, and a step takes {step_s:.1f} s. Give more "
             "minutes, or fewer --frames and --source-frames."
         )
-    return min(wanted, fitting)
+    return min(most, fitting)
 
 
 def experiment_of_round(
@@ -60,7 +60,7 @@ def experiment_of_round(
     detector: "Detector",
     learnt: TrainingHistory,
     data: Mapping[str, DataConfig],
-    settled: CalibratedThresholds,
+    calibration: CalibratedThresholds,
     choices: AdaptationOptions,
     number: int,
     boxes: Mapping[Key, Boxes],
@@ -72,17 +72,17 @@ def experiment_of_round(
         detector: The detector that is adapted.
         learnt: What it learnt from.
         data: Settings of the streams ``source`` and ``target``.
-        settled: Thresholds and steps.
+        calibration: Thresholds and steps.
         choices: What was chosen.
         number: Number of the round, from 1.
-        boxes: What the round's teacher found in the target.
+        boxes: What the round's teacher detected in the target.
     """
-    training = {name: learnt.training[name] for name in _KEPT if name in learnt.training}
-    training |= {"learning_rate": 0.5 * float(learnt.training.get("learning_rate", 2e-3)), "steps": settled.steps}
+    training = {name: learnt.training[name] for name in _INHERITED if name in learnt.training}
+    training |= {"learning_rate": 0.5 * float(learnt.training.get("learning_rate", 2e-3)), "steps": calibration.steps}
     training["batch_size"] = max(2, 2 * (int(training.get("batch_size", 4)) // 2))  # as many of each stream
     lowest = float(detector.config.score_threshold)
-    rare = dict.fromkeys(rare_classes(boxes, settled), lowest)
-    method: dict[str, Any] = {"positive": settled.positive, "negative": {**settled.negative, **rare}}
+    rare = dict.fromkeys(rare_classes(boxes, calibration), lowest)
+    method: dict[str, Any] = {"positive": calibration.positive, "negative": {**calibration.negative, **rare}}
     if choices.whole_bodies and number == 1:  # the teacher still draws visible parts: the source's labels teach alone
         method["weight"] = 0.0
     tree: dict[str, Any] = {
@@ -117,38 +117,41 @@ def measured_step_s(experiment: Experiment, data: Mapping[str, Dataset], folder:
     """Time of a training step on this machine, seconds: a few are taken, and what they wrote is removed."""
     clock = StepTimer()
     training = experiment.training.model_copy(update={"steps": _MEASURED})
-    with tempfile.TemporaryDirectory(prefix=".measured-", dir=folder) as place:
-        Plan(experiment.model_copy(update={"training": training}), Path(place), data).run(clock)
+    with tempfile.TemporaryDirectory(prefix=".measured-", dir=folder) as path:
+        Plan(experiment.model_copy(update={"training": training}), Path(path), data).run(clock)
     return clock.step_s
 
 
-def rare_classes(boxes: Mapping[Key, Boxes], settled: CalibratedThresholds) -> tuple[str, ...]:
-    """Classes with too few sure boxes in the target to be taught there: what is found of them is ignored.
+def rare_classes(boxes: Mapping[Key, Boxes], calibration: CalibratedThresholds) -> tuple[str, ...]:
+    """Classes with too few confident pseudo-labels in the target to be taught there: what is found of them is ignored.
 
-    Were their unsure boxes background, as those of other classes are, a round would unlearn them.
+    Were their boxes of middling score background, as those of other classes are, a round would unlearn them.
     """
-    count = dict.fromkeys(settled.positive, 0)
-    for each in boxes.values():
-        score = np.zeros(len(each)) if each.score is None else each.score
-        for name in np.asarray(each.label)[score >= levels(settled.positive, each.label)]:
+    count = dict.fromkeys(calibration.positive, 0)
+    for frame_boxes in confident_boxes(boxes, calibration.positive).values():
+        for name in np.asarray(frame_boxes.label):
             count[str(name)] += 1
     return tuple(name for name, number in count.items() if number < _RARE)
 
 
-def counted(boxes: Mapping[Key, Boxes], settled: CalibratedThresholds) -> tuple[float, float]:
-    """Sure and unsure boxes a frame."""
-    sure = unsure = 0
-    for each in boxes.values():
-        score = np.zeros(len(each)) if each.score is None else each.score
-        upper, lower = (levels(scores, each.label) for scores in (settled.positive, settled.negative))
-        sure += int((score >= upper).sum())
-        unsure += int(((score >= lower) & (score < upper)).sum())
-    return sure / max(len(boxes), 1), unsure / max(len(boxes), 1)
+def pseudo_label_rates(boxes: Mapping[Key, Boxes], calibration: CalibratedThresholds) -> tuple[float, float]:
+    """Confident pseudo-labels and ignored boxes a frame."""
+    parts = [split_by_score(frame_boxes, calibration.positive, calibration.negative) for frame_boxes in boxes.values()]
+    confident, ignored = (sum(len(part[side]) for part in parts) for side in (0, 1))
+    return confident / max(len(boxes), 1), ignored / max(len(boxes), 1)
+
+
+def confident_boxes(boxes: Mapping[Key, Boxes], positive: Mapping[str, float]) -> dict[Key, Boxes]:
+    """The boxes whose scores make them objects, by frame, with their scores."""
+    return {
+        key: frame_boxes[scores_of(frame_boxes) >= levels(dict(positive), frame_boxes.label)]
+        for key, frame_boxes in boxes.items()
+    }
 
 
 def check_round(
     boxes: Mapping[Key, Boxes],
-    settled: CalibratedThresholds,
+    calibration: CalibratedThresholds,
     number: int,
     data: Mapping[str, Dataset],
     clouds: Mapping[str, str],
@@ -156,8 +159,8 @@ def check_round(
     """See that a round has something to learn from.
 
     Args:
-        boxes: What its teacher found in the target.
-        settled: Thresholds.
+        boxes: What its teacher detected in the target.
+        calibration: Thresholds.
         number: Number of the round, from 1.
         data: Frames of ``source`` and ``target``.
         clouds: Which cloud was searched in each.
@@ -165,19 +168,17 @@ def check_round(
     Raises:
         FarfieldError: If there is no pseudo box.
     """
-    if counted(boxes, settled)[0]:
+    if pseudo_label_rates(boxes, calibration)[0]:
         return
-    best = max(
-        (float(each.score.max()) for each in boxes.values() if each.score is not None and len(each)), default=0.0
-    )
+    best = max((float(scores_of(frame_boxes).max()) for frame_boxes in boxes.values() if len(frame_boxes)), default=0.0)
     low = {name: _low_m(data[name], clouds[name]) for name in ("source", "target")}
     raise FarfieldError(
         f"adapt: round {number} has no pseudo box: in {len(boxes)} frames of the target no score reaches "
-        f"{spoken(settled.positive)}; the best is {best:.2f}, and the source has {settled.source_rate:.1f} sure boxes "
-        f"a sweep. The lowest tenth of the points lies below {low['target']:.1f} m in the target and "
-        f"{low['source']:.1f} m in the source: where these differ by more than half a metre, or the car looks along "
-        "another axis, move the clouds into the coordinates that the detector learnt in. Else it does not see this "
-        "sensor at all: take another detector, or label some frames."
+        f"{threshold_text(calibration.positive)}; the best is {best:.2f}, and the source has "
+        f"{calibration.source_rate:.1f} confident boxes a sweep. The lowest tenth of the points lies below "
+        f"{low['target']:.1f} m in the target and {low['source']:.1f} m in the source: where these differ by more "
+        "than half a metre, or the car looks along another axis, move the clouds into the coordinates that the "
+        "detector learnt in. Else it does not see this sensor at all: take another detector, or label some frames."
     )
 
 

@@ -12,8 +12,8 @@ from farfield.errors import ConfigError
 from farfield.evaluation import as_trained, suitable_clouds
 from farfield.experiments.frames import annotated_frames, spread
 from farfield.experiments.schema import DataConfig
-from farfield.jobs.runs import Progress
 from farfield.simulation.recording import SimulationConfig, ensure
+from farfield.training.augmentation import Progress
 from farfield.training.config import AugmentationConfig
 
 if TYPE_CHECKING:
@@ -70,13 +70,13 @@ def learnt_by(provenance: Mapping[str, Any], name: str) -> TrainingHistory:
             f"{name} says nothing. Self-training needs labelled frames of the source beside the unlabelled ones; train "
             "the detector here, or take weights that ship."
         )
-    known = set(AugmentationConfig.model_fields)
+    fields = set(AugmentationConfig.model_fields)
     return TrainingHistory(
         path=str(data["path"]),
         aliases=data.get("aliases") or {},
         options=data.get("options") or {},
         simulate=data.get("simulate") or {},
-        augmentation={key: value for key, value in (experiment.get("augmentation") or {}).items() if key in known},
+        augmentation={key: value for key, value in (experiment.get("augmentation") or {}).items() if key in fields},
         training=experiment.get("training") or {},
     )
 
@@ -89,23 +89,23 @@ def simulation_of(learnt: TrainingHistory, frames: int, seed: int, name: str) ->
     """
     from farfield.simulation import find_preset
 
-    given = learnt.simulate
-    if not given:
+    recipe = learnt.simulate
+    if not recipe:
         raise ConfigError(
             f"adapt: expected labelled source frames, and {name} learnt from a real data set ({learnt.path}), which "
             "cannot be simulated. Name it, or another that is labelled: --source DATA"
         )
-    preset = find_preset(str(given["preset"]))
-    sensors = given.get("sensors") or ",".join(preset.sensors)
-    kept = [each.strip() for each in str(sensors).split(",") if not each.strip().startswith("cam")]
-    each = min(_FRAMES, frames)
+    preset = find_preset(str(recipe["preset"]))
+    sensors = recipe.get("sensors") or ",".join(preset.sensors)
+    sensors_without_cameras = [name.strip() for name in str(sensors).split(",") if not name.strip().startswith("cam")]
+    per_sequence = min(_FRAMES, frames)
     return SimulationConfig(
         preset=preset.name,
-        sequences=-(-frames // each),
-        frames=each,
-        seed=int(given.get("seed", 0)) + _OTHER_ROADS + seed,
-        sensors=",".join(kept),
-        stride_s=given.get("stride_s"),
+        sequences=-(-frames // per_sequence),
+        frames=per_sequence,
+        seed=int(recipe.get("seed", 0)) + _OTHER_ROADS + seed,
+        sensors=",".join(sensors_without_cameras),
+        stride_s=recipe.get("stride_s"),
     )
 
 
@@ -114,7 +114,7 @@ def source_frames(
     learnt: TrainingHistory,
     folder: Path,
     *,
-    given: Path | None,
+    labelled: Path | None,
     frames: int,
     seed: int,
     name: str,
@@ -128,7 +128,7 @@ def source_frames(
         detector: The detector.
         learnt: What it learnt from.
         folder: Simulated frames are kept in its ``source``.
-        given: A labelled data set in the place of simulated frames.
+        labelled: A labelled data set in the place of simulated frames.
         frames: How many at most.
         seed: Another seed simulates other roads.
         name: What the detector is called, for messages.
@@ -143,19 +143,19 @@ def source_frames(
         ConfigError: If there is nothing to simulate, or no cloud suits the detector.
         DatasetError: If no frame is annotated, or whole bodies are asked for and not known.
     """
-    simulate = None if given is not None else simulation_of(learnt, frames, seed, name)
-    path = folder / FOLDER if given is None else given
+    simulate = None if labelled is not None else simulation_of(learnt, frames, seed, name)
+    path = folder / FOLDER if labelled is None else labelled
     ensure(simulate, path, progress, say)
-    options = recipe_of_experiment({"options": learnt.options})["options"] if given is None else {}
+    options = recipe_of_experiment({"options": learnt.options})["options"] if labelled is None else {}
     opened = open_dataset(path, **options)
-    seen = {"whole_bodies": True} if whole_bodies and "whole_bodies" in opened.view_options else {}
-    data = annotated_frames(as_trained(opened.mapped(WholeBodies()) if seen else opened, detector.info), "skip")
+    view = {"whole_bodies": True} if whole_bodies and "whole_bodies" in opened.view_options else {}
+    data = annotated_frames(as_trained(opened.mapped(WholeBodies()) if view else opened, detector.info), "skip")
     data = data.select(spread(len(data), frames))
     config = DataConfig(
         path=path,
         clouds=suitable_clouds(detector.info, data[0]),
         aliases=dict(learnt.aliases),
-        options=(dict(learnt.options) if given is None else {}) | seen,
+        options=(dict(learnt.options) if labelled is None else {}) | view,
         simulate=simulate,
     )
     _check_bodies(data, whole_bodies, name)

@@ -1,6 +1,6 @@
 """Every key of an experiment's YAML file as a table, from the types.
 
-``python -m farfield.experiments.keys docs/experiments.md`` writes it into the page.
+``python tools/experiment_keys.py docs/experiments.md`` writes it into the page.
 """
 
 import enum
@@ -70,9 +70,9 @@ def _rows(
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
     """The group of settings that a field is, alone or as one of ``group | None``."""
-    for each in (annotation, *get_args(annotation)):
-        if isinstance(each, type) and issubclass(each, BaseModel) and get_origin(annotation) not in (dict, tuple, list):
-            return each
+    for kind in (annotation, *get_args(annotation)):
+        if isinstance(kind, type) and issubclass(kind, BaseModel) and get_origin(annotation) not in (dict, tuple, list):
+            return kind
     return None
 
 
@@ -92,7 +92,7 @@ def _type(annotation: Any) -> str:
     if origin is Literal:
         return ", ".join(f"`{value}`" for value in args)
     if origin in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_type(each) for each in args))
+        return " or ".join(dict.fromkeys(_type(argument) for argument in args))
     if origin in (tuple, list):
         several = origin is list or args[-1:] == (Ellipsis,)
         return f"list of {_type(args[0])}" if several else f"list of {len(args)}: {_type(args[0])}"
@@ -103,14 +103,16 @@ def _type(annotation: Any) -> str:
     if isinstance(annotation, type) and issubclass(annotation, PurePath):
         return "path"
     if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
-        return ", ".join(f"`{each.value}`" for each in annotation)
+        return ", ".join(f"`{member.value}`" for member in annotation)
     return "any value" if annotation is Any else str(annotation).replace("|", "or")
 
 
 def _limits(info: FieldInfo) -> str:
     words = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
-    said = [f"{words[name]} {getattr(each, name):g}" for each in info.metadata for name in words if hasattr(each, name)]
-    return f", {' '.join(said)}" if said else ""
+    limits = [
+        f"{words[name]} {getattr(part, name):g}" for part in info.metadata for name in words if hasattr(part, name)
+    ]
+    return f", {' '.join(limits)}" if limits else ""
 
 
 def _value(info: FieldInfo) -> Any:

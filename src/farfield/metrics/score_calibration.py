@@ -1,4 +1,4 @@
-"""The two scores between which a pseudo box is ignored, from what a detector's scores mean where labels are known.
+"""What a detector's scores mean where labels are known, and the two scores between which a pseudo-label is ignored.
 
 Scores of detectors are not alike: those of a focal loss that has seen few objects stop at 0.5. So the thresholds are
 taken from the scores on labelled source frames, class by class: isotonic regression gives the share of objects among
@@ -18,7 +18,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.metrics.centre.matching import found_by
 
 POSITIVE, NEGATIVE = 0.6, 0.25
-_SURE, _BACKGROUND = 0.8, 0.2  # shares of objects among boxes of a score
+_OBJECT, _BACKGROUND = 0.8, 0.2  # shares of objects among boxes of a score
 _FEWEST = 20  # boxes of a class, right ones or all, of which shares are taken
 
 
@@ -44,7 +44,7 @@ def thresholds_of(
     lowest: float,
     distance_m: float = 2.0,
 ) -> Thresholds:
-    """Take the thresholds from what a detector found in labelled frames.
+    """Take the thresholds from what a detector detects in labelled frames.
 
     Args:
         predictions: Scored boxes by (sequence, frame).
@@ -56,8 +56,8 @@ def thresholds_of(
     """
     positive, negative, measured = {}, {}, []
     for name in classes:
-        score, right = judged(predictions, annotated, name, distance_m=distance_m)
-        upper, lower = sure_from(score, right), background_below(score, right)
+        score, right = scored_matches(predictions, annotated, name, distance_m=distance_m)
+        upper, lower = confident_from(score, right), background_below(score, right)
         if upper is None or lower is None:
             upper, lower = POSITIVE, NEGATIVE
         else:
@@ -67,7 +67,7 @@ def thresholds_of(
     return Thresholds(positive, negative, tuple(measured))
 
 
-def judged(
+def scored_matches(
     predictions: Mapping[tuple[str, str], Boxes],
     annotated: Mapping[tuple[str, str], Boxes],
     name: str,
@@ -89,29 +89,29 @@ def judged(
     return np.concatenate(scores), np.concatenate(rights)
 
 
-def sure_from(score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> float | None:
+def confident_from(score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> float | None:
     """The score from which at least four in five boxes of a score are objects; None with too few objects.
 
-    It is at most the score that a tenth of the objects reaches: where fewer were sure, there would be little to learn.
+    It is at most the score that a tenth of the objects reaches: fewer would leave little to learn.
     """
     if right.sum() < _FEWEST:
         return None
     values, share = calibrated(score, right)
-    sure = values[share >= _SURE]
+    confident = values[share >= _OBJECT]
     best_tenth = float(np.quantile(score[right], 0.9))
-    return min(float(sure[0]), best_tenth) if len(sure) else best_tenth
+    return min(float(confident[0]), best_tenth) if len(confident) else best_tenth
 
 
 def background_below(score: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> float | None:
     """The score below which at most one in five boxes of a score is an object; None with too few boxes.
 
-    Where every score is surer, the lowest of them: nothing that was found is background.
+    Where every score is higher, the lowest of them: nothing that was found is background.
     """
     if len(score) < _FEWEST:
         return None
     values, share = calibrated(score, right)
-    unsure = values[share > _BACKGROUND]
-    return float(unsure[0]) if len(unsure) else float(values[-1])
+    possible = values[share > _BACKGROUND]
+    return float(possible[0]) if len(possible) else float(values[-1])
 
 
 def calibrated(

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("torch")
-
-from farfield.adaptation.pseudo_labels import levels, sorted_by_score, spoken
-from farfield.adaptation.thresholds import background_below, calibrated, judged, sure_from, thresholds_of
 from farfield.frame import Boxes
+from farfield.metrics.score_calibration import (
+    background_below,
+    calibrated,
+    confident_from,
+    scored_matches,
+    thresholds_of,
+)
 
 
 def boxes_at(x: np.ndarray, score: np.ndarray | None = None, label: str = "vehicle") -> Boxes:
@@ -30,9 +33,9 @@ def scores_of(shares: dict[float, float], count: int = 20) -> tuple[np.ndarray, 
 
 def test_sure_and_background_are_where_boxes_of_a_score_are() -> None:
     score, right = scores_of({0.1: 0.0, 0.2: 0.2, 0.3: 0.25, 0.5: 0.5, 0.7: 0.75, 0.8: 0.8, 0.9: 1.0})
-    assert sure_from(score, right) == 0.8
+    assert confident_from(score, right) == 0.8
     assert background_below(score, right) == 0.3
-    assert sure_from(score[right][:19], right[right][:19]) is None  # too few objects
+    assert confident_from(score[right][:19], right[right][:19]) is None  # too few objects
     assert background_below(score[:19], right[:19]) is None
 
 
@@ -41,13 +44,13 @@ def test_shares_that_fall_are_evened_out() -> None:
     values, share = calibrated(score, right)
     assert values.tolist() == [0.2, 0.4, 0.6, 0.8]
     assert share == pytest.approx([0.1, 0.6, 0.6, 0.95])
-    assert (sure_from(score, right), background_below(score, right)) == (0.8, 0.4)
+    assert (confident_from(score, right), background_below(score, right)) == (0.8, 0.4)
 
 
 def test_where_next_to_nothing_is_sure_the_best_tenth_of_the_objects_is() -> None:
     score = np.linspace(1.0, 0.01, 100)
     right = np.arange(100) % 2 == 0
-    assert sure_from(score, right) == pytest.approx(np.quantile(score[right], 0.9))
+    assert confident_from(score, right) == pytest.approx(np.quantile(score[right], 0.9))
     assert background_below(score, np.ones(100, dtype=bool)) == score.min()  # nothing found is background
 
 
@@ -61,7 +64,7 @@ def test_a_box_is_an_object_once() -> None:
         ("a", "1"): boxes_at(np.array([1.0])),
         ("a", "2"): boxes_at(np.array([5.0]), label="bicycle"),
     }
-    score, right = judged(found, truth, "vehicle")
+    score, right = scored_matches(found, truth, "vehicle")
     assert score.tolist() == [0.9, 0.8, 0.7, 0.6]
     assert right.tolist() == [True, False, False, False]  # the second finds nothing free, the last is no bicycle
 
@@ -76,15 +79,3 @@ def test_thresholds_by_class_and_the_literatures_where_there_are_few() -> None:
     assert all(found.negative[name] <= found.positive[name] for name in found.positive)
     raised = thresholds_of(frames, truth, ("vehicle",), lowest=0.7)
     assert raised.positive == raised.negative == {"vehicle": 0.7}
-
-
-def test_thresholds_of_each_class_part_its_boxes() -> None:
-    boxes = Boxes.concatenate(
-        [boxes_at(np.array([1.0, 2.0]), np.array([0.5, 0.3])), boxes_at(np.array([3.0]), np.array([0.5]), "bicycle")]
-    )
-    positive, negative = {"vehicle": 0.5, "bicycle": 0.6}, {"vehicle": 0.4, "bicycle": 0.2}
-    assert levels(positive, boxes.label).tolist() == [0.5, 0.5, 0.6]
-    parts = sorted_by_score(boxes, positive, negative)
-    assert parts.sure.centre_m[:, 0].tolist() == [1.0]
-    assert parts.unsure.centre_m[:, 0].tolist() == [3.0]
-    assert spoken(0.6) == "0.6"
