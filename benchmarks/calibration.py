@@ -25,10 +25,10 @@ from farfield.calibration.edge_residuals import EdgeResiduals, edge_residuals
 from farfield.calibration.edges import (
     EdgeViews,
     align_edges,
-    difference,
-    edge_spread,
-    moved,
-    views_of,
+    camera_difference,
+    edge_uncertainty,
+    edge_views,
+    move_camera,
 )
 from farfield.calibration.pairs import calibrate_pairs
 from farfield.calibration.registration import register
@@ -108,13 +108,13 @@ def camera_views(data: Dataset) -> tuple[Camera, EdgeViews]:
     pictures = [data[i].images["cam-front"] for i in pictured]
     truth = data[pictured[0]].cameras["cam-front"]
     edges = [sweep_edges(data, i, camera="cam-front", lidar="os2-64")[0] for i in pictured]
-    return truth, views_of(pictures, edges, truth, margin_px=100)
+    return truth, edge_views(pictures, edges, truth, margin_px=100)
 
 
 def least_row(open_road: Callable[[], Dataset]) -> str:
     """What the edge residual is where nothing is wrong, and with a yaw that is off."""
     truth, views = camera_views(open_road())
-    turned = [moved(truth, np.array([0, np.radians(degrees), 0, 0, 0, 0])) for degrees in (0.0, 0.2, 1.0)]
+    turned = [move_camera(truth, np.array([0, np.radians(degrees), 0, 0, 0, 0])) for degrees in (0.0, 0.2, 1.0)]
     found = [edge_residuals(camera, views) for camera in turned]
     rows = (("", [each.median_px for each in found]), ("each edge as one: ", [single_px(each) for each in found]))
     return "; ".join(
@@ -135,13 +135,13 @@ def camera_starts(open_road: Callable[[], Dataset], turn: float, numbers: Sequen
         rng = np.random.default_rng((1, int(turn), number))
         delta = np.concatenate([np.radians(rng.uniform(-turn, turn, 3)), rng.uniform(-0.1, 0.1, 3)])
         began = time.process_time()
-        found = align_edges(moved(truth, delta), views, sigma=(*(np.radians(turn),) * 3, 0.1, 0.1, 0.1))
+        found = align_edges(move_camera(truth, delta), views, sigma=(*(np.radians(turn),) * 3, 0.1, 0.1, 0.1))
         took = time.process_time() - began
         residuals = edge_residuals(found, views)
         yield {
             "start": number,
-            "error": difference(found, truth).tolist(),
-            "sigma": edge_spread(found, views)[0].tolist(),
+            "error": camera_difference(found, truth).tolist(),
+            "sigma": edge_uncertainty(found, views)[0].tolist(),
             "edge_px": residuals.median_px,
             "single_px": single_px(residuals),
             "seconds": took,
@@ -166,7 +166,7 @@ def pairs_row(open_road: Callable[[], Dataset], starts: int) -> list[str]:
             matrix = truth.matrix * (np.array([[1.2, 1, 1], [1, 1.2, 1], [1, 1, 1]]) if focal else 1.0)
             guess = partial(type(truth), distortion=truth.distortion, camera_T_lidar=np.eye(4))
             found = calibrate_pairs(picked, seen, guess(matrix=matrix), focal=focal).camera
-            turn = np.degrees(np.linalg.norm(difference(found, truth)[:3]))
+            turn = np.degrees(np.linalg.norm(camera_difference(found, truth)[:3]))
             away.append((turn, 100 * abs(found.matrix[0, 0] / truth.matrix[0, 0] - 1)))
             bound.extend(least_turns(truth, picked, rng) if not focal else ())
         turn, longer = np.median(away, axis=0)
@@ -194,7 +194,7 @@ def least_turns(camera: Camera, points_m: np.ndarray, rng: np.random.Generator, 
     """Turns in degrees drawn from the Cramer-Rao bound: what no unbiased solver can undercut with these picks."""
     slopes = []
     for step in np.diag([1e-4] * 3 + [1e-3] * 3):
-        after, before = (moved(camera, each).project(points_m)[0] for each in (step, -step))
+        after, before = (move_camera(camera, each).project(points_m)[0] for each in (step, -step))
         slopes.append((after - before).ravel() / (2 * step.sum()))
     slope = np.stack(slopes, axis=1)
     covariance = sigma_px**2 * np.linalg.inv(slope.T @ slope)

@@ -12,7 +12,7 @@ from _report import header, progress
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from farfield.calibration.board_pictures import careful_poses, seen_board
+from farfield.calibration.board_pictures import board_poses, render_board
 from farfield.calibration.boards import Board, calibrate_board, find_board
 from farfield.geometry.cameras import Camera
 
@@ -51,8 +51,8 @@ def residuals(turn: np.ndarray, camera: Camera, rays: np.ndarray, pixels: np.nda
 def row(truth: Camera, board: Board, pictures: int, seed: int) -> str:
     """One lens and one board."""
     rng, began = np.random.default_rng(seed), time.process_time()
-    poses = careful_poses(truth, board, pictures, rng)
-    seen = [find_board(seen_board(truth, at, board, rng=rng), board, str(i)) for i, at in enumerate(poses)]
+    poses = board_poses(truth, board, pictures, rng)
+    seen = [find_board(render_board(truth, at, board, rng=rng), board, str(i)) for i, at in enumerate(poses)]
     found = calibrate_board([each for each in seen if each is not None], board)
     focal = np.abs(np.diag(found.camera.matrix)[:2] / np.diag(truth.matrix)[:2] - 1).max()
     return (

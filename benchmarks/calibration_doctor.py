@@ -18,7 +18,7 @@ import numpy as np
 from _report import header, progress
 
 from farfield.calibration.checking import check_camera
-from farfield.calibration.edges import SIGMAS_PX, EdgeViews, moved
+from farfield.calibration.edges import SIGMAS_PX, EdgeViews, move_camera
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.writer import KRadarWriter
@@ -71,7 +71,7 @@ def planted_camera(camera: Camera, kind: str, size: float, rng: np.random.Genera
     axis /= np.linalg.norm(axis)
     delta = np.zeros(6)
     delta[slice(0, 3) if kind.endswith("deg") else slice(3, 6)] = axis
-    return moved(camera, delta * (np.radians(size) if kind.endswith("deg") else size / 100))
+    return move_camera(camera, delta * (np.radians(size) if kind.endswith("deg") else size / 100))
 
 
 def drifted(camera: Camera, views: EdgeViews, kind: str, size: float, rng: np.random.Generator) -> EdgeViews:

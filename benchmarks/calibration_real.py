@@ -20,8 +20,8 @@ from _report import SHARED_REAL, header
 
 from farfield.calibration.checking import check_camera
 from farfield.calibration.depth_jumps import lidar_edges
-from farfield.calibration.edges import align_edges, difference, edge_spread, moved, views_of
-from farfield.calibration.moments import read_moments
+from farfield.calibration.edges import align_edges, camera_difference, edge_uncertainty, edge_views, move_camera
+from farfield.calibration.moments import read_sensor_pairs
 from farfield.calibration.radar_lidar import calibrate_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.datasets import open_dataset
@@ -58,8 +58,8 @@ def aligned(
         rng, rows, began = np.random.default_rng(0), [], time.process_time()
         for _ in range(starts):
             delta = np.concatenate([np.radians(rng.uniform(-degrees, degrees, 3)), rng.uniform(-metres, metres, 3)])
-            start = moved(camera, delta)
-            views = views_of(pictures, edges, start, margin_px=100)
+            start = move_camera(camera, delta)
+            views = edge_views(pictures, edges, start, margin_px=100)
             sigma = (*(np.radians(degrees),) * 3, *(metres,) * 3)
             found = align_edges(start, views, sigma=sigma)
             rows.append([_off(each, camera, near, there) for each in (start, found)])
@@ -69,11 +69,11 @@ def aligned(
         ]
         text = f"{name:<22} {len(clouds):6d} {degrees:.1f} deg {100 * metres:3.0f} cm  " + " |  ".join(cells)
         yield f"{text} {(time.process_time() - began) / starts:6.1f}", start, found
-    views = views_of(pictures, edges, camera, margin_px=100)
+    views = edge_views(pictures, edges, camera, margin_px=100)
     if len(clouds) < 2:
         yield "  one frame alone: no sigma", camera, camera
         return
-    sigma, notes = edge_spread(align_edges(camera, views), views)
+    sigma, notes = edge_uncertainty(align_edges(camera, views), views)
     told = ", ".join(f"{s:.2f}" for s in np.degrees(sigma[:3])), ", ".join(f"{100 * s:.0f}" for s in sigma[3:])
     yield f"  sigma (pitch, yaw, roll) {told[0]} deg, (x, y, z) {told[1]} cm", camera, camera
     for note in notes or ("all six are observed",):
@@ -81,7 +81,7 @@ def aligned(
     own = _off(align_edges(camera, views), camera, near, there)
     yield f"  begun at the published one: {own[0]:.2f} deg, {own[1]:.1f} cm, {own[2]:.1f} px away", camera, camera
     for what, delta in (("published", np.zeros(6)), ("turned by 1 deg", _YAW), ("shifted by 20 cm", _ASIDE)):
-        check = check_camera(moved(camera, delta), views)
+        check = check_camera(move_camera(camera, delta), views)
         yield (
             f"  the doctor on the {what}: {check.verdict} ({check.px:.1f} px, {check.evidence:.1f} errors)",
             camera,
@@ -90,7 +90,7 @@ def aligned(
 
 
 def _off(found: Camera, truth: Camera, points_m: np.ndarray, pixels: np.ndarray) -> tuple[float, float, float]:
-    error = np.abs(difference(found, truth))
+    error = np.abs(camera_difference(found, truth))
     away = np.linalg.norm(replace(found, width_px=0, height_px=0).project(points_m)[0] - pixels, axis=1)
     return float(np.degrees(error[:3].max())), 100 * float(error[3:].max()), float(np.nanmedian(away))
 
@@ -167,7 +167,7 @@ def kradar_example(folder: Path | None) -> Iterator[str]:
 def radar(frames: Sequence[Frame], starts: int) -> Iterator[str]:
     """View-of-Delft's radar against its LiDAR: x, y and yaw from +-0.5 m and +-1 degree."""
     sensor = frames[0].sensors["radar"].frame_T_sensor
-    moments = [replace(each, number=100 * i) for i, each in enumerate(read_moments(frames, lidar="lidar"))]
+    moments = [replace(each, number=100 * i) for i, each in enumerate(read_sensor_pairs(frames, lidar="lidar"))]
     evidence, truth = RadarEvidence.of(moments), invert(sensor)
     yaw = float(np.arctan2(truth[1, 0], truth[0, 0]))
     tilt = np.degrees(np.arccos(np.clip(truth[2, 2], -1, 1)))

@@ -25,7 +25,7 @@ from farfield.depth import DepthMap, depth_map
 from farfield.depth.baselines import ip_basic, nearest_depth
 from farfield.depth.frames import cloud_and_camera
 from farfield.depth.rings import ring_numbers
-from farfield.depth.sparse import seen, sparse_depth
+from farfield.depth.sparse import remove_hidden, sparse_depth
 from farfield.files.atomic import write_text
 from farfield.frame import Camera
 from farfield.metrics.depth import BINS_M, DepthErrors, depth_errors, errors_by_range, mean_of
@@ -91,7 +91,7 @@ def real_scenes(real: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray, Camer
 def thinned(name: str, points: np.ndarray, ring: np.ndarray, camera: Camera, every: int) -> Scene:
     """Every second or fourth ring, and as truth what the camera sees of the others where those have no point."""
     kept = ring % every == 0
-    shown = seen(sparse_depth(points, camera), WINDOW)
+    shown = remove_hidden(sparse_depth(points, camera), WINDOW)
     left, given = sparse_depth(points[~kept], camera), sparse_depth(points[kept], camera)
     truth = np.where(np.isinf(given) & np.isfinite(left) & (shown == left), left, np.nan)
     return Scene(name, points[kept], ring[kept], camera, truth, every)

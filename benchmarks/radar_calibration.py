@@ -40,7 +40,7 @@ from calibration_doctor import ERRORS, draw
 from scipy.stats import binom
 
 from farfield.calibration.jobs import KRADAR_NODE_M
-from farfield.calibration.moments import read_moments
+from farfield.calibration.moments import read_sensor_pairs
 from farfield.calibration.radar_checking import check_radar
 from farfield.calibration.radar_lidar import calibrate_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
@@ -64,7 +64,7 @@ def planted_radar(pose: RadarPose, kind: str, size: float, rng: np.random.Genera
 def evidence_of(drive: SimulatedDrive, folder: Path) -> RadarEvidence:
     """Objects of both sensors in a drive."""
     data = drive.opened(folder)
-    return RadarEvidence.of(read_moments((data[i] for i in range(len(data))), node_m=KRADAR_NODE_M))
+    return RadarEvidence.of(read_sensor_pairs((data[i] for i in range(len(data))), node_m=KRADAR_NODE_M))
 
 
 def start_row(drive: SimulatedDrive, evidence: RadarEvidence, number: int) -> dict[str, Any]:

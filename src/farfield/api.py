@@ -316,7 +316,7 @@ def calibrate(
             raise ConfigError("calibrate board: expected a folder of pictures, got a data set")
         return board_job(Path(data), Board(columns=corners[0], rows=corners[1], square_m=square, markers=charuco))
     opened = open_dataset(data) if isinstance(data, Path | str) else data
-    indices = jobs.chosen(opened, sequence, frames, runs=kind == "radar-lidar")
+    indices = jobs.choose_frames(opened, sequence, frames, runs=kind == "radar-lidar")
     if kind == "radar-lidar":
         yaw_rad = None if yaw is None else radians(yaw)
         guess = jobs.radar_start(opened, indices[0], x_m=x, y_m=y, yaw_rad=yaw_rad)

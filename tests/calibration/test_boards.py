@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from farfield import cli
-from farfield.calibration.board_pictures import board_picture, careful_poses, seen_board
+from farfield.calibration.board_pictures import board_picture, board_poses, render_board
 from farfield.calibration.boards import Board, Sighting, calibrate_board, find_board
 from farfield.datasets.calibration import read_calibration
 from farfield.errors import ConfigError
@@ -25,7 +25,7 @@ TRUTH = Camera(
 def sightings(board: Board, count: int, seed: int, truth: Camera = TRUTH) -> list[Sighting]:
     """Corners as they project, with a tenth of a pixel of noise, without pictures."""
     rng, found = np.random.default_rng(seed), []
-    for number, place in enumerate(careful_poses(truth, board, count, rng)):
+    for number, place in enumerate(board_poses(truth, board, count, rng)):
         pixels = replace(truth, camera_T_lidar=place).project(board.places_m)[0]
         noisy = pixels + rng.normal(0, 0.1, pixels.shape)
         corner = np.arange(len(pixels))
@@ -39,8 +39,8 @@ def test_corners_are_found_within_a_fifth_of_a_pixel(markers: bool) -> None:
     board, rng = Board(markers=markers), np.random.default_rng(4)
     camera = replace(TRUTH, matrix=TRUTH.matrix * 1.5, width_px=960, height_px=540)
     camera.matrix[2, 2] = 1
-    place = careful_poses(camera, board, 1, rng)[0]
-    found = find_board(seen_board(camera, place, board, rng=rng), board, "one")
+    place = board_poses(camera, board, 1, rng)[0]
+    found = find_board(render_board(camera, place, board, rng=rng), board, "one")
     assert found is not None
     truth = replace(camera, camera_T_lidar=place).project(board.places_m)[0]
     away = np.linalg.norm(found.pixels - truth[found.corner], axis=1)
@@ -101,8 +101,8 @@ def test_the_verb_calibrates_and_draws(tmp_path: Path, capsys: pytest.CaptureFix
     pytest.importorskip("cv2")
     board, rng = Board(columns=6, rows=4), np.random.default_rng(1)
     (tmp_path / "pictures").mkdir()
-    for number, place in enumerate(careful_poses(TRUTH, board, 9, rng)):
-        write_image(tmp_path / "pictures" / f"{number}.png", seen_board(TRUTH, place, board, rng=rng))
+    for number, place in enumerate(board_poses(TRUTH, board, 9, rng)):
+        write_image(tmp_path / "pictures" / f"{number}.png", render_board(TRUTH, place, board, rng=rng))
     write_image(tmp_path / "pictures" / "empty.png", np.full((360, 640, 3), 90, np.uint8))
     words = ["board", str(tmp_path / "pictures"), "--corners", "6", "4", "--out", str(tmp_path / "out")]
     assert cli.main(["calibrate", *words, "--save", str(tmp_path / "intrinsics.json"), "--camera", "front"]) == 0

@@ -9,11 +9,11 @@ from farfield.calibration.depth_jumps import lidar_edges
 from farfield.calibration.edge_residuals import EdgeResiduals, edge_residuals
 from farfield.calibration.edges import (
     align_edges,
-    difference,
+    camera_difference,
     edge_score,
-    edge_spread,
-    moved,
-    views_of,
+    edge_uncertainty,
+    edge_views,
+    move_camera,
 )
 from farfield.calibration.pairs import calibrate_pairs
 from farfield.errors import ConfigError
@@ -56,24 +56,24 @@ def scenes() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def test_edges_bring_a_camera_back(scenes: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
-    start = moved(CAMERA, np.array([*np.radians([0.6, -0.8, 0.7]), 0.06, -0.05, 0.08]))
+    start = move_camera(CAMERA, np.array([*np.radians([0.6, -0.8, 0.7]), 0.06, -0.05, 0.08]))
     edges = [lidar_edges(points, ring) for _, points, ring in scenes]
-    views = views_of([picture for picture, _, _ in scenes], edges, start)
+    views = edge_views([picture for picture, _, _ in scenes], edges, start)
     found = align_edges(start, views)
-    away = difference(found, CAMERA)
+    away = camera_difference(found, CAMERA)
     assert (np.degrees(np.abs(away[:3])) < [0.45, 0.15, 0.2]).all()  # rings are 0.7 degrees apart: pitch is worst
     assert np.abs(away[3:]).max() < 0.1
     assert edge_score(found, views).mean() > edge_score(start, views).mean()
     residuals = edge_residuals(found, views)
     assert residuals.median_px is not None
     assert residuals.median_px < 1.5
-    sigma, _ = edge_spread(found, views)
+    sigma, _ = edge_uncertainty(found, views)
     assert (sigma > 0).all()
 
 
 def test_edge_residuals_tell_less_than_half_a_pixel(scenes: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
     edges = [lidar_edges(points, ring) for _, points, ring in scenes]
-    views = views_of([picture for picture, _, _ in scenes], edges, CAMERA)
+    views = edge_views([picture for picture, _, _ in scenes], edges, CAMERA)
     columns = {name: getattr(views, name)[views.axis == 0] for name in ("points_m", "frame", "axis", "weight")}
     upright = replace(views, **columns)
     medians = []
@@ -113,7 +113,7 @@ def test_eight_pairs_are_enough() -> None:
     for seed in range(12):
         points, pixels = picks(np.random.default_rng(seed), 8, 1.0)
         found = calibrate_pairs(points, pixels, replace(CAMERA, camera_T_lidar=np.eye(4)))
-        turns.append(np.degrees(np.linalg.norm(difference(found.camera, CAMERA)[:3])))
+        turns.append(np.degrees(np.linalg.norm(camera_difference(found.camera, CAMERA)[:3])))
     assert np.median(turns) < 0.5
 
 
@@ -123,7 +123,7 @@ def test_a_wrong_pick_does_not_pull() -> None:
     pixels[:4] += 80
     found = calibrate_pairs(points, pixels, replace(CAMERA, camera_T_lidar=np.eye(4)))
     assert not found.inlier[:4].any()
-    assert np.degrees(np.linalg.norm(difference(found.camera, CAMERA)[:3])) < 0.5
+    assert np.degrees(np.linalg.norm(camera_difference(found.camera, CAMERA)[:3])) < 0.5
 
 
 def test_a_guessed_focal_length_is_found() -> None:

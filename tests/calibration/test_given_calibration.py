@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from farfield.calibration.checking import as_sure, check_camera
-from farfield.calibration.edges import SIGMAS_PX, EdgeViews, difference, moved, refine_edges
+from farfield.calibration.checking import check_camera, equivalent_errors
+from farfield.calibration.edges import SIGMAS_PX, EdgeViews, camera_difference, move_camera, refine_edges
 from farfield.calibration.moments import SensorPair
 from farfield.calibration.radar_checking import check_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
@@ -57,7 +57,7 @@ def test_a_correct_camera_is_not_accused(steady: EdgeViews) -> None:
 
 @pytest.mark.parametrize("delta", [[0, 0.0175, 0, 0, 0, 0], [0.012, 0, -0.012, 0, 0, 0], [0, 0, 0, 0.2, 0, 0]])
 def test_a_planted_error_is_found_and_measured(steady: EdgeViews, delta: list[float]) -> None:
-    found = check_camera(moved(CAMERA, np.array(delta)), steady)
+    found = check_camera(move_camera(CAMERA, np.array(delta)), steady)
     assert found.verdict == "off"
     assert found.evidence > 3
     assert found.degrees == pytest.approx(np.degrees(np.abs(delta[:3]).max()), abs=0.25)
@@ -65,14 +65,14 @@ def test_a_planted_error_is_found_and_measured(steady: EdgeViews, delta: list[fl
 
 
 def test_a_camera_is_brought_to_what_some_frames_show(steady: EdgeViews) -> None:
-    away = moved(CAMERA, np.array([0.0, 0.005, 0.0, 0.05, 0.0, 0.1]))
-    found = difference(refine_edges(away, steady, sigma=(0.03, 0.03, 0.03, 0.4, 0.4, 0.4)), CAMERA)
+    away = move_camera(CAMERA, np.array([0.0, 0.005, 0.0, 0.05, 0.0, 0.1]))
+    found = camera_difference(refine_edges(away, steady, sigma=(0.03, 0.03, 0.03, 0.4, 0.4, 0.4)), CAMERA)
     assert np.abs(found[:3]).max() < np.radians(0.05)
     assert np.abs(found[3:]).max() < 0.02
 
 
 def test_a_camera_that_moved_is_told_from_one_that_is_off() -> None:
-    away = moved(CAMERA, np.array([0.0, 0.0175, 0, 0, 0, 0]))
+    away = move_camera(CAMERA, np.array([0.0, 0.0175, 0, 0, 0, 0]))
     views = seen(np.random.default_rng(1), [CAMERA] * (FRAMES // 2) + [away] * (FRAMES // 2))
     found = check_camera(CAMERA, views)
     assert found.verdict == "moved"
@@ -82,7 +82,7 @@ def test_a_camera_that_moved_is_told_from_one_that_is_off() -> None:
 def test_edges_anywhere_tell_nothing() -> None:
     views = seen(np.random.default_rng(2), None)
     assert check_camera(CAMERA, views).verdict == "not told"
-    assert check_camera(moved(CAMERA, np.array([0, 0.02, 0, 0, 0, 0])), views).verdict == "not told"
+    assert check_camera(move_camera(CAMERA, np.array([0, 0.02, 0, 0, 0, 0])), views).verdict == "not told"
 
 
 @pytest.mark.slow
@@ -95,16 +95,16 @@ def test_edges_anywhere_seldom_accuse_a_camera() -> None:
     """
     claimed = 0
     for seed in range(30):
-        views, turned = seen(np.random.default_rng(seed), None), moved(CAMERA, np.array([0, 0.02, 0, 0, 0, 0]))
+        views, turned = seen(np.random.default_rng(seed), None), move_camera(CAMERA, np.array([0, 0.02, 0, 0, 0, 0]))
         claimed += sum(check_camera(each, views).claimed for each in (CAMERA, turned))
     assert claimed <= 6
 
 
 def test_few_frames_must_show_more() -> None:
-    assert as_sure(3.0, 20) == as_sure(3.0, 100) == 3.0
+    assert equivalent_errors(3.0, 20) == equivalent_errors(3.0, 100) == 3.0
     # Student's t: 3 of 19 degrees of freedom are as rare (0.37 %) as 3.73 of 7
-    assert as_sure(3.0, 8) == pytest.approx(3.73, abs=0.01)
-    assert as_sure(6.0, 6) > as_sure(6.0, 8) > as_sure(6.0, 19) > 6.0
+    assert equivalent_errors(3.0, 8) == pytest.approx(3.73, abs=0.01)
+    assert equivalent_errors(6.0, 6) > equivalent_errors(6.0, 8) > equivalent_errors(6.0, 19) > 6.0
 
 
 def road(rng: np.random.Generator, turn_late: float = 0.0) -> RadarEvidence:

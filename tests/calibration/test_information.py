@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from farfield.calibration.edges import moved
+from farfield.calibration.edges import move_camera
 from farfield.calibration.information import information_distance
 from farfield.geometry.cameras import Camera
 
@@ -23,7 +23,9 @@ def test_it_is_least_at_the_truth() -> None:
     columns = [list(each) for each in zip(*frames, strict=True)]
     right = information_distance(CAMERA, *columns)
     for turn in ([0.5, 0, 0], [-0.5, 0, 0], [0, 0.5, 0], [0, -0.5, 0]):
-        assert information_distance(moved(CAMERA, np.array([*np.radians(turn), 0, 0, 0])), *columns) > right + 0.01
+        assert (
+            information_distance(move_camera(CAMERA, np.array([*np.radians(turn), 0, 0, 0])), *columns) > right + 0.01
+        )
 
 
 def test_nothing_in_common_is_one() -> None:

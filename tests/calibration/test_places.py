@@ -10,7 +10,7 @@ import pytest
 from drive import frame
 from street import write_street
 
-from farfield.calibration.edges import difference, moved
+from farfield.calibration.edges import camera_difference, move_camera
 from farfield.calibration.places import (
     camera_files,
     save_camera_where_read,
@@ -107,11 +107,11 @@ def test_real_cameras_of_both_releases(kradar: Path, shared_real: Path, release:
             archive.extractall(kradar / "resources" / "cam_calib")
     data = open_dataset(kradar, calibration=release)
     before = data[0].cameras["cam-front"]
-    after = moved(before, CHANGE)
+    after = move_camera(before, CHANGE)
     written, copy = save_camera_where_read(data, 0, "cam-front", before, after)
     assert written.parent.parent.name == {"v1": "calib_seq", "v2": "calib_seq_v2"}[release]
     found = open_dataset(kradar, calibration=release)[0].cameras["cam-front"]
-    np.testing.assert_allclose(difference(found, after), 0, atol=1e-9)
+    np.testing.assert_allclose(camera_difference(found, after), 0, atol=1e-9)
     np.testing.assert_array_equal(found.matrix, before.matrix)
     np.testing.assert_array_equal(found.distortion, before.distortion)
     new, old = (path.read_text().splitlines() for path in (written, copy))
@@ -131,14 +131,14 @@ def write_kitti(root: Path, cameras: list[Camera]) -> Path:
 def test_kittis_files_of_the_same_car_are_changed_alone(tmp_path: Path) -> None:
     matrix = np.array([[707.0493, 0, 604.0814], [0, 707.0493, 180.5066], [0, 0, 1]])
     one = Camera(matrix=matrix, width_px=1224, height_px=370)
-    data = open_dataset(write_kitti(tmp_path, [one, one, moved(one, CHANGE)]), format="kitti")
+    data = open_dataset(write_kitti(tmp_path, [one, one, move_camera(one, CHANGE)]), format="kitti")
     before = data[0].cameras["camera"]
-    after = moved(before, 2 * CHANGE)
+    after = move_camera(before, 2 * CHANGE)
     written = save_camera_where_read(data, 0, "camera", before, after)
     assert len([each for each in written if each.suffix == ".txt"]) == 2
     again = open_dataset(tmp_path, format="kitti")
-    np.testing.assert_allclose(difference(again[1].cameras["camera"], before), 2 * CHANGE, atol=1e-6)
-    np.testing.assert_allclose(difference(again[2].cameras["camera"], one), CHANGE, atol=1e-6)
+    np.testing.assert_allclose(camera_difference(again[1].cameras["camera"], before), 2 * CHANGE, atol=1e-6)
+    np.testing.assert_allclose(camera_difference(again[2].cameras["camera"], one), CHANGE, atol=1e-6)
 
 
 @pytest.mark.parametrize("named", [None, "car/front.yaml"])
@@ -151,7 +151,7 @@ def test_cirrus_reads_what_was_written(tmp_path: Path, rng: np.random.Generator,
         (root / "car").mkdir()
         write_calibration(root / named, {"other": Camera(matrix=np.eye(3))})
     camera = Camera(
-        matrix=np.diag([900.0, 900, 1]), camera_T_lidar=moved(Camera(matrix=np.eye(3)), CHANGE).camera_T_lidar
+        matrix=np.diag([900.0, 900, 1]), camera_T_lidar=move_camera(Camera(matrix=np.eye(3)), CHANGE).camera_T_lidar
     )
     save_camera_where_read(data, 0, "camera", None, camera)
     found = open_dataset(root, mapping=mapping)[0].cameras
@@ -167,6 +167,6 @@ def test_a_set_without_a_place_is_refused(tmp_path: Path, rng: np.random.Generat
         save_lidars_where_read(data, 0, np.eye(4))
     one = Camera(matrix=np.diag([700.0, 700, 1]), width_px=10, height_px=10)
     kitti = open_dataset(write_kitti(tmp_path / "b", [one]), format="kitti")
-    other = replace(one, camera_T_lidar=moved(one, CHANGE).camera_T_lidar)
+    other = replace(one, camera_T_lidar=move_camera(one, CHANGE).camera_T_lidar)
     with pytest.raises(ConfigError, match="--save"):
         camera_files(kitti, 0, "camera", other)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.calibration import Parameter, solve
-from farfield.calibration.problems import considered
+from farfield.calibration.problems import consider_covariance
 from farfield.errors import ConfigError
 
 SLOPE = (
@@ -71,6 +71,6 @@ def test_errors_that_all_residuals_share_do_not_average_out() -> None:
     x, y = drawn(np.random.default_rng(0), 3.0)
     rows, value = partial(line, x=x, y=y, sigma=0.1), np.array([1.5, -0.4])
     high, tilted = np.full((len(x), 1), 0.3 / 0.1), (0.02 * x / 0.1)[:, None]
-    found = considered(rows, value, SLOPE, np.stack([high, tilted]))
+    found = consider_covariance(rows, value, SLOPE, np.stack([high, tilted]))
     np.testing.assert_allclose(found, np.diag([0.3**2, 0.02**2]), atol=1e-5)
-    np.testing.assert_array_equal(considered(rows, value, SLOPE, np.zeros((1, len(x), 1))), np.zeros((2, 2)))
+    np.testing.assert_array_equal(consider_covariance(rows, value, SLOPE, np.zeros((1, len(x), 1))), np.zeros((2, 2)))

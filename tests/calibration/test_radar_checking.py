@@ -6,9 +6,9 @@ import pytest
 from farfield.calibration.radar_checking import (
     CLAIMED,
     _beyond,
-    distance,
-    finds,
+    detectable_errors,
     frames_needed,
+    mahalanobis,
 )
 from farfield.calibration.radar_systematic import SYSTEMATIC
 
@@ -24,28 +24,28 @@ def covariance(aside_m: float, turn_rad: float) -> np.ndarray:
 def test_a_shift_shows_where_the_objects_stand() -> None:
     known = covariance(0.03, np.radians(0.4))
     assert np.sqrt(known[1, 1]) > 0.2  # y alone would tell nothing
-    assert distance(np.array([0.0, 0.2, 0.0]), known) > CLAIMED
-    assert distance(np.array([0.0, -0.2, 0.2 / AHEAD_M]), known) < 1.0  # at the objects nothing moved
-    assert finds(known).shift_m < 0.2
+    assert mahalanobis(np.array([0.0, 0.2, 0.0]), known) > CLAIMED
+    assert mahalanobis(np.array([0.0, -0.2, 0.2 / AHEAD_M]), known) < 1.0  # at the objects nothing moved
+    assert detectable_errors(known).shift_m < 0.2
 
 
 def test_what_is_found_lies_beyond_what_is_claimed() -> None:
     known = covariance(0.05, np.radians(0.2))
-    found = finds(known)
+    found = detectable_errors(known)
     for away in np.linspace(0, 2 * np.pi, 12):
         change = found.shift_m * np.array([np.cos(away), np.sin(away), 0.0])
-        assert distance(change, known) > CLAIMED + 1.6
-    assert distance(np.array([0, 0, found.turn_rad]), known) > CLAIMED + 1.6
+        assert mahalanobis(change, known) > CLAIMED + 1.6
+    assert mahalanobis(np.array([0, 0, found.turn_rad]), known) > CLAIMED + 1.6
 
 
 def test_more_frames_tell_what_few_do_not() -> None:
     systematic = np.diag(SYSTEMATIC[:3] ** 2)
     few = covariance(0.12, np.radians(0.5))
-    assert not finds(systematic + few).enough
+    assert not detectable_errors(systematic + few).enough
     needed = frames_needed(systematic + few, 24, systematic)
     assert needed > 24
-    assert finds(systematic + few * 24 / needed).enough
-    assert not finds(systematic + few * 24 / (needed - 1)).enough
+    assert detectable_errors(systematic + few * 24 / needed).enough
+    assert not detectable_errors(systematic + few * 24 / (needed - 1)).enough
 
 
 def test_no_number_of_frames_undoes_what_is_systematic(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,12 +8,12 @@ import pytest
 from farfield.calibration.bird import OccupancyMaps, PoseHypothesis, correlate
 from farfield.calibration.moments import SensorPair, above_ground_m
 from farfield.calibration.peaks import find_peaks
-from farfield.calibration.radar_appraising import appraise_radar, matches_of
+from farfield.calibration.radar_appraising import appraise_radar, frame_matches
 from farfield.calibration.radar_lidar import (
-    _folded,
-    _nearest,
-    _settled,
-    _solved,
+    _fold_time_offset,
+    _least_cost,
+    _match_and_solve,
+    _search_peaks,
     calibrate_radar,
 )
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
@@ -74,10 +74,10 @@ def test_a_solution_that_wrong_partners_hold_is_freed() -> None:
     evidence = RadarEvidence.of(road(np.random.default_rng(0), 12))
     guess = replace(TRUTH, time_offset_s=0.0, yaw_rad=0.0)
     turned = replace(TRUTH, yaw_rad=TRUTH.yaw_rad + np.radians(1.1), y_m=TRUTH.y_m - 0.6, time_offset_s=-0.03)
-    known = _solved(evidence, TRUTH.vector, TRUTH.frames, guess, PARAMETERS, (0.8,))
+    known = _match_and_solve(evidence, TRUTH.vector, TRUTH.frames, guess, PARAMETERS, (0.8,))
     assert known is not None
     held = turned, known[0], replace(known[1], value=turned.vector)
-    pose, _, solution = _settled(evidence, held, guess)
+    pose, _, solution = _search_peaks(evidence, held, guess)
     assert pose.vector == pytest.approx(solution.value)
     assert abs(pose.yaw_rad - TRUTH.yaw_rad) < np.radians(0.1)
     assert abs(pose.y_m - TRUTH.y_m) < 0.06
@@ -88,7 +88,7 @@ def test_no_whole_frame_stays_in_the_time_offset() -> None:
     evidence = RadarEvidence.of(road(np.random.default_rng(0), 12))
     value = np.add(TRUTH.vector, [0.0, 0.0, 0.0, evidence.period_s])
     guess = replace(TRUTH, time_offset_s=0.0)
-    found = _folded(evidence, value, TRUTH.frames + 1, guess)
+    found = _fold_time_offset(evidence, value, TRUTH.frames + 1, guess)
     assert found is not None
     assert found[0].frames == TRUTH.frames
     assert abs(found[0].time_offset_s - TRUTH.time_offset_s) < 0.01
@@ -100,9 +100,9 @@ def test_frame_offsets_are_compared_in_the_frames_that_they_share() -> None:
     full_frame, nan = 90.0, np.nan  # one radar frame has many more peaks, and only the right offset uses it
     right, wrong, alone = [full_frame, 10.0, 11.0, nan], [nan, 12.0, 12.0, 13.0], [nan, nan, nan, 1.0]
     assert np.nanmean(wrong) < np.nanmean(right)
-    assert _nearest(np.array([right, wrong])) == 0
-    assert _nearest(np.array([wrong, right])) == 1
-    assert _nearest(np.array([right, alone])) == 0, "what shares no frame says nothing against it"
+    assert _least_cost(np.array([right, wrong])) == 0
+    assert _least_cost(np.array([wrong, right])) == 1
+    assert _least_cost(np.array([right, alone])) == 0, "what shares no frame says nothing against it"
 
 
 def test_a_rough_start_does_not_draw_the_solution() -> None:
@@ -110,7 +110,7 @@ def test_a_rough_start_does_not_draw_the_solution() -> None:
     ends = []
     for sign in (-1, 1):
         off = replace(TRUTH, y_m=TRUTH.y_m + 2 * sign, yaw_rad=TRUTH.yaw_rad + np.radians(3) * sign, time_offset_s=0.0)
-        found = _solved(evidence, TRUTH.vector, TRUTH.frames, off, PARAMETERS, (0.8, 0.8))
+        found = _match_and_solve(evidence, TRUTH.vector, TRUTH.frames, off, PARAMETERS, (0.8, 0.8))
         assert found is not None
         ends.append(found[1].value)
     assert (np.abs(ends[1] - ends[0])[1:3] < [0.001, np.radians(0.01)]).all()
@@ -226,10 +226,10 @@ def test_a_pose_is_appraised_as_it_stands() -> None:
     off = RadarPose(x_m=TRUTH.x_m + 0.6, y_m=TRUTH.y_m, z_m=0.7, yaw_rad=TRUTH.yaw_rad, frames=1, time_offset_s=0.02)
     worse, _ = appraise_radar(evidence, off)
     assert np.median(worse.range_m) == pytest.approx(0.6, abs=0.2)
-    lidar, radar = matches_of(evidence, TRUTH, 12)
+    lidar, radar = frame_matches(evidence, TRUTH, 12)
     assert len(lidar) > 10
     assert np.median(np.linalg.norm(lidar - radar, axis=1)) < 0.3
-    assert len(matches_of(evidence, TRUTH, 999)[0]) == 0
+    assert len(frame_matches(evidence, TRUTH, 999)[0]) == 0
     with pytest.raises(DatasetError, match="move the cloud nearer"):
         appraise_radar(evidence, RadarPose(x_m=90.0, y_m=60.0, z_m=0.7))
 

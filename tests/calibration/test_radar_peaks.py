@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.calibration.moments import SensorPair, _highest
+from farfield.calibration.moments import SensorPair, _strongest_of_columns
 from farfield.calibration.peaks import STRONG_DB, find_peaks
 from farfield.calibration.radar_matching import RadarEvidence, match_frame
 from farfield.simulation.radar.model import RadarModel, virtual_array
@@ -56,7 +56,7 @@ def test_a_tall_beam_does_not_draw_an_echo_nearer(range_m: float) -> None:
     slant, tilt = np.hypot(x, z), np.arctan2(z, np.maximum(x, 0.1))
     power_db = 25 - 12 * ((slant - range_m) / 0.41) ** 2 - 12 * (tilt / np.radians(9)) ** 2
     echoes = np.column_stack([x, 0 * x, z])
-    kept = _highest(echoes, power_db)
+    kept = _strongest_of_columns(echoes, power_db)
     assert len(kept) == len(np.unique(x))
     found = find_peaks(seen(echoes[kept], power_db[kept]))
     strongest = int(np.argmax(found.power_db))

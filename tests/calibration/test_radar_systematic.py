@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from farfield.calibration.problems import solve
-from farfield.calibration.radar_matching import across_rad, polar, shares, whitened
+from farfield.calibration.radar_matching import (
+    azimuth_sigma_rad,
+    observation_shares,
+    polar_residuals,
+    whitened_residuals,
+)
 from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
-from farfield.calibration.radar_systematic import SYSTEMATIC, systematic_of
+from farfield.calibration.radar_systematic import SYSTEMATIC, systematic_covariance
 
 RIGHT = np.array([-2.5, 0.3, 0.0, 0.02])
 POST_M, CAR_M = 0.2, 1.8
@@ -33,8 +38,8 @@ def highway(rng: np.random.Generator, count: int = 400, *, width_m: float = POST
 
 
 def solved(pairs: MatchedObjects) -> np.ndarray:
-    rows = partial(whitened, pairs=pairs)
-    return solve(rows, RIGHT, PARAMETERS, group=pairs.track, share=shares(pairs, RIGHT)).value - RIGHT
+    rows = partial(whitened_residuals, pairs=pairs)
+    return solve(rows, RIGHT, PARAMETERS, group=pairs.track, share=observation_shares(pairs, RIGHT)).value - RIGHT
 
 
 def deeper(pairs: MatchedObjects, left_m: float, right_m: float) -> MatchedObjects:
@@ -47,7 +52,7 @@ def deeper(pairs: MatchedObjects, left_m: float, right_m: float) -> MatchedObjec
 
 def test_where_nothing_is_off_nothing_is_taken_out() -> None:
     pairs = highway(np.random.default_rng(0))
-    np.testing.assert_allclose(whitened(RIGHT, pairs), 0.0, atol=1e-9)
+    np.testing.assert_allclose(whitened_residuals(RIGHT, pairs), 0.0, atol=1e-9)
 
 
 def test_the_depth_of_one_side_is_no_y() -> None:
@@ -74,7 +79,7 @@ def test_what_is_taken_out_is_a_depth_that_grows_with_the_sine() -> None:
     )
     sigma, prior, sine = 0.2, 0.15, 0.5
     told = 2 * sine**2 / sigma**2 / (2 * sine**2 / sigma**2 + 1 / prior**2)
-    left = whitened(np.zeros(4), pairs)
+    left = whitened_residuals(np.zeros(4), pairs)
     np.testing.assert_allclose(left[:, 0], -0.1 / sigma * (1 - told), rtol=1e-6)
     np.testing.assert_allclose(left[:, 1], 0.0, atol=1e-9)
 
@@ -82,18 +87,20 @@ def test_what_is_taken_out_is_a_depth_that_grows_with_the_sine() -> None:
 def test_an_azimuth_is_left_as_it_is() -> None:
     pairs = highway(np.random.default_rng(0))
     turned = RIGHT + np.array([0.0, 0.0, np.radians(0.1), 0.0])
-    np.testing.assert_allclose(whitened(turned, pairs)[:, 1] * across_rad(pairs), polar(turned, pairs)[:, 1])
-    assert np.median(polar(turned, pairs)[:, 1]) == pytest.approx(np.radians(0.1), rel=0.1)
+    np.testing.assert_allclose(
+        whitened_residuals(turned, pairs)[:, 1] * azimuth_sigma_rad(pairs), polar_residuals(turned, pairs)[:, 1]
+    )
+    assert np.median(polar_residuals(turned, pairs)[:, 1]) == pytest.approx(np.radians(0.1), rel=0.1)
 
 
 def test_posts_leave_no_more_than_what_is_so_with_all_objects() -> None:
     posts = highway(np.random.default_rng(0))
-    np.testing.assert_allclose(systematic_of(posts, RIGHT), np.diag(SYSTEMATIC**2), atol=1e-12)
+    np.testing.assert_allclose(systematic_covariance(posts, RIGHT), np.diag(SYSTEMATIC**2), atol=1e-12)
 
 
 def test_cars_alone_leave_y_and_yaw_open_and_their_place_at_forty_metres_known() -> None:
     cars = highway(np.random.default_rng(0), width_m=CAR_M)
-    own = systematic_of(cars, RIGHT) - np.diag(SYSTEMATIC**2)
+    own = systematic_covariance(cars, RIGHT) - np.diag(SYSTEMATIC**2)
     assert np.sqrt(own[2, 2]) == pytest.approx(np.radians(0.2), rel=0.1)
     assert np.sqrt(own[1, 1]) == pytest.approx(np.hypot(FORTY_M * np.radians(0.2), 0.04), rel=0.2)
     there = np.array([0.0, 1.0, FORTY_M, 0.0])
@@ -102,8 +109,8 @@ def test_cars_alone_leave_y_and_yaw_open_and_their_place_at_forty_metres_known()
 
 def test_posts_among_the_cars_hold_them() -> None:
     cars = highway(np.random.default_rng(0), width_m=CAR_M)
-    alone = np.sqrt(np.diag(systematic_of(cars, RIGHT)))[1:3]
+    alone = np.sqrt(np.diag(systematic_covariance(cars, RIGHT)))[1:3]
     some = replace(cars, width_m=np.where(np.arange(400) % 4, CAR_M, POST_M))
-    mixed = np.sqrt(np.diag(systematic_of(some, RIGHT)))[1:3]
+    mixed = np.sqrt(np.diag(systematic_covariance(some, RIGHT)))[1:3]
     assert (SYSTEMATIC[1:3] < mixed).all()
     assert (mixed < 0.7 * alone).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from farfield.calibration import Parameter, Solution
-from farfield.calibration.edges import difference, moved
+from farfield.calibration.edges import camera_difference, move_camera
 from farfield.calibration.radar_lidar import RadarCalibration
 from farfield.calibration.radar_matching import RadarPose
 from farfield.calibration.saving import save_camera, save_radar
@@ -91,7 +91,7 @@ def test_matching_info_is_read_as_it_is_written(tmp_path: Path) -> None:
 def test_a_kradar_camera_keeps_its_comments(tmp_path: Path) -> None:
     path = tmp_path / "cam_1.yml"
     path.write_text("# by hand\n" + format_camera(CAMERA, 1))
-    after = moved(CAMERA, CHANGE)
+    after = move_camera(CAMERA, CHANGE)
     written = save_camera(path, "cam-front", CAMERA, after)
     assert path.read_text().startswith("# by hand\n")
     assert len(path.read_text().splitlines()) == 17
@@ -107,7 +107,7 @@ def test_kittis_change_goes_into_one_matrix(tmp_path: Path) -> None:
     path.write_text(old)
     row = np.array(rows["Tr_velo_to_cam"].split(), dtype=float).reshape(3, 4)
     before = replace(CAMERA, camera_T_lidar=np.vstack([row, [0, 0, 0, 1]]))
-    _, copy = save_camera(path, "image_2", before, moved(before, CHANGE))
+    _, copy = save_camera(path, "image_2", before, move_camera(before, CHANGE))
     assert copy.read_text() == old
     lines = path.read_text().splitlines()
     assert [line for line in lines if not line.startswith("Tr_velo")] == [
@@ -115,13 +115,13 @@ def test_kittis_change_goes_into_one_matrix(tmp_path: Path) -> None:
     ]
     values = np.array(lines[2].split()[1:], dtype=float).reshape(3, 4)
     found = replace(CAMERA, camera_T_lidar=np.vstack([values, [0, 0, 0, 1]]))
-    np.testing.assert_allclose(difference(found, before), CHANGE, atol=1e-9)
+    np.testing.assert_allclose(camera_difference(found, before), CHANGE, atol=1e-9)
 
 
 def test_our_own_file_keeps_other_cameras(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     save_camera(path, "left", CAMERA, CAMERA)
-    save_camera(path, "right", CAMERA, moved(CAMERA, CHANGE))
+    save_camera(path, "right", CAMERA, move_camera(CAMERA, CHANGE))
     assert set(read_calibration(path)) == {"left", "right"}
     assert len(list(tmp_path.glob("*.before-*"))) == 1
     assert json.loads(path.read_text())["cameras"]["left"]["width"] == 1280

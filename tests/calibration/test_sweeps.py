@@ -3,7 +3,7 @@
 import numpy as np
 
 from farfield.calibration.depth_jumps import lidar_edges
-from farfield.calibration.sweeps import at_moment
+from farfield.calibration.sweeps import deskew_to
 from farfield.frame import Cloud, Frame
 from farfield.geometry.deskewing import PoseTrack
 
@@ -31,7 +31,7 @@ def board() -> tuple[Cloud, Frame]:
 
 def test_points_stand_where_the_picture_saw_them() -> None:
     cloud, frame = board()
-    moved = at_moment(cloud, TRACK, frame, START_NS)
+    moved = deskew_to(cloud, TRACK, frame, START_NS)
     assert moved is not None
     way = 12.0 * cloud.extra["time_ns"] * 1e-9
     np.testing.assert_allclose(moved - cloud.points_m, np.column_stack([way, 0 * way, 0 * way]), atol=1e-5)
@@ -41,7 +41,7 @@ def test_edges_move_with_their_points() -> None:
     cloud, frame = board()
     ring = np.zeros(len(cloud.points_m), dtype=int)
     raw = lidar_edges(cloud.points_m, ring).upright_m
-    found = lidar_edges(cloud.points_m, ring, at_picture_m=at_moment(cloud, TRACK, frame, START_NS)).upright_m
+    found = lidar_edges(cloud.points_m, ring, at_picture_m=deskew_to(cloud, TRACK, frame, START_NS)).upright_m
     assert len(raw) == len(found) == 2
     left, right = (found - raw)[np.argsort(-raw[:, 1])]
     assert left[0] < -0.03 < 0.03 < right[0]  # 4 ms of the way, to either side
@@ -50,6 +50,6 @@ def test_edges_move_with_their_points() -> None:
 
 def test_without_times_or_poses_points_stay() -> None:
     cloud, frame = board()
-    assert at_moment(cloud, None, frame, START_NS) is None
-    assert at_moment(Cloud(cloud.points_m, None, {}), TRACK, frame, START_NS) is None
-    assert at_moment(cloud, TRACK, frame, START_NS + 10**9) is None
+    assert deskew_to(cloud, None, frame, START_NS) is None
+    assert deskew_to(Cloud(cloud.points_m, None, {}), TRACK, frame, START_NS) is None
+    assert deskew_to(cloud, TRACK, frame, START_NS + 10**9) is None

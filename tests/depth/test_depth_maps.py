@@ -13,7 +13,7 @@ from farfield.depth import METHODS, depth_map, mesh
 from farfield.depth.baselines import ip_basic, nearest_depth
 from farfield.depth.mesh import draw_mesh
 from farfield.depth.rings import ring_numbers
-from farfield.depth.sparse import seen, sparse_depth
+from farfield.depth.sparse import remove_hidden, sparse_depth
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
@@ -202,7 +202,7 @@ def test_a_camera_without_size_is_refused() -> None:
 def test_hidden_points_go_and_grazing_ground_stays() -> None:
     depth = np.full((9, 9), np.inf)
     depth[4, 4], depth[4, 5], depth[4, 6] = 5.0, 30.0, 5.3
-    shown = seen(depth, (3, 3))
+    shown = remove_hidden(depth, (3, 3))
     assert np.isfinite(shown).sum() == 2
     assert np.isinf(shown[4, 5])
 
@@ -241,7 +241,7 @@ def test_a_thinned_real_sweep_is_filled_better_than_by_the_baselines() -> None:
     assert ring.max() == 63
     kept = ring % 4 == 0
     given = sparse_depth(points[kept], lens)
-    truth = np.where(np.isinf(given), seen(sparse_depth(points, lens), (5, 7)), np.nan)
+    truth = np.where(np.isinf(given), remove_hidden(sparse_depth(points, lens), (5, 7)), np.nan)
     made = depth_map(points[kept], lens, ring=ring[kept])
     ours = depth_errors(nearest_depth(np.where(np.isnan(made.depth_m), np.inf, made.depth_m)), truth)
     theirs = depth_errors(ip_basic(given, stretch=4), truth)

@@ -6,7 +6,7 @@ import numpy as np
 from drive import frame as drive_frame
 from PIL import Image, ImageDraw
 
-from farfield.calibration.edges import moved
+from farfield.calibration.edges import move_camera
 from farfield.calibration.radar_matching import RadarPose
 from farfield.calibration.saving import radar_T_lidar
 from farfield.datasets.kitti.object import calibration_text
@@ -142,6 +142,6 @@ def write_kitti(root: Path, *, count: int = 3, seed: int = 5) -> Path:
         rows = np.column_stack([points, np.full(len(points), 0.3)]).astype(np.float32)
         rows.tofile(root / f"training/velodyne/{number:06d}.bin")
         Image.fromarray(picture(there, CAMERA)).save(root / f"training/image_2/{number:06d}.png")
-        text = calibration_text(moved(CAMERA, PLANTED))
+        text = calibration_text(move_camera(CAMERA, PLANTED))
         (root / f"training/calib/{number:06d}.txt").write_text(text)
     return root

@@ -14,7 +14,7 @@ from jaxtyping import Complex64, Float, Float32
 from scipy import fft
 
 from farfield.calibration.moments import SensorPair
-from farfield.calibration.problems import Told, untold
+from farfield.calibration.problems import Progress, no_progress
 from farfield.errors import ConfigError
 
 CELL_M = 0.4
@@ -90,7 +90,7 @@ def correlate(
     reach_m: float = 3.0,
     frames: int = 4,
     yaw_rad: float = np.radians(4.0),
-    told: Told = untold,
+    told: Progress = no_progress,
 ) -> list[PoseHypothesis]:
     """Best explanation of each frame offset, best first.
 
@@ -143,7 +143,7 @@ def _moved(
     return np.column_stack([cos * x - sin * y + shift_m[0], sin * x + cos * y + shift_m[1]])
 
 
-def bird_map(
+def birds_eye_map(
     points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"] | None
 ) -> Float[np.ndarray, "192 160"]:
     """Largest value in each cell, or 1 where there is a point; x along the first axis."""
@@ -158,7 +158,7 @@ def bird_map(
 def _spectrum(
     points_m: Float[np.ndarray, "n d"], values: Float[np.ndarray, " n"] | None
 ) -> Complex64[np.ndarray, "h w"]:
-    found = fft.rfft2(bird_map(points_m, values)) * _PASSED
+    found = fft.rfft2(birds_eye_map(points_m, values)) * _PASSED
     energy = 2 * float(np.sum(np.abs(found) ** 2)) - float(np.sum(np.abs(found[:, [0, -1]]) ** 2))
     return found / (float(np.sqrt(energy / np.prod(_SHAPE))) or 1.0)
 

@@ -30,7 +30,7 @@ def board_picture(board: Board, px_per_square: int = 100) -> UInt8[np.ndarray, "
     return np.pad(inner, round(_MARGIN * px_per_square), constant_values=255)
 
 
-def seen_board(
+def render_board(
     camera: Camera,
     camera_T_board: Float[np.ndarray, "4 4"],
     board: Board,
@@ -106,7 +106,7 @@ def _texture(
     return np.asarray(ndimage.map_coordinates(texture, np.stack([y, x]), order=1, mode="constant", cval=110.0))
 
 
-def careful_poses(camera: Camera, board: Board, count: int, rng: np.random.Generator) -> list[Float[np.ndarray, "4 4"]]:
+def board_poses(camera: Camera, board: Board, count: int, rng: np.random.Generator) -> list[Float[np.ndarray, "4 4"]]:
     """Poses of a board as a careful person holds it: into each corner of the picture in turn, tilted, all of it seen.
 
     Args:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import stats
 
-from farfield.calibration.edges import EdgeViews, align_edges, difference, edge_score, moved, refine_edges
+from farfield.calibration.edges import EdgeViews, align_edges, camera_difference, edge_score, move_camera, refine_edges
 from farfield.geometry.cameras import Camera
 
 Verdict = Literal["fits", "off", "moved", "not told"]
@@ -73,18 +73,18 @@ def check_camera(camera: Camera, views: EdgeViews) -> CalibrationCheck:
     """
     halves = [np.arange(views.count) < views.count // 2, np.arange(views.count) >= views.count // 2]
     if views.count < LEAST_FRAMES:
-        return unsaid(views.count)
+        return undecided(views.count)
     whole = align_edges(camera, views, sigma=_FIRST, most=None)
     own = [refine_edges(whole, _only(views, half), sigma=_FIRST) for half in halves]
     given, *scores = (edge_score(each, views, _LEVEL) for each in (camera, whole, *own))
-    chance = np.mean([edge_score(moved(camera, each), views, _LEVEL) for each in _far()], axis=0)
+    chance = np.mean([edge_score(move_camera(camera, each), views, _LEVEL) for each in _far()], axis=0)
     crossed = np.where(halves[0], scores[2], scores[1])  # each half by the other half's camera: not fitted to it
     mine = np.where(halves[0], scores[1], scores[2])
-    unfitted, fitted = (as_sure(errors, views.count) for errors in (_OBSERVED, 2 * _OBSERVED))
+    unfitted, fitted = (equivalent_errors(errors, views.count) for errors in (_OBSERVED, 2 * _OBSERVED))
     if _errors(crossed - chance) < unfitted and _errors(mine - chance) < fitted:
-        return unsaid(views.count)
+        return undecided(views.count)
     found = (whole, *own)
-    change = [difference(each, camera) for each in found]
+    change = [camera_difference(each, camera) for each in found]
     pixels = [_pixels(each, views) for each in (camera, *found)]
     apart = float(np.nanmedian(np.linalg.norm(pixels[2] - pixels[3], axis=1)))
     gains = [_errors(each - given) for each in scores]
@@ -102,7 +102,7 @@ def check_camera(camera: Camera, views: EdgeViews) -> CalibrationCheck:
     if verdict == "fits" and min(drift, gained) > _CLEAR and apart > floor_px:
         verdict = "moved"
     turn, shift = _sizes(change[better])
-    drift_turn, drift_shift = _sizes(difference(own[1], own[0]))
+    drift_turn, drift_shift = _sizes(camera_difference(own[1], own[0]))
     return CalibrationCheck(
         verdict=verdict,
         degrees=turn,
@@ -115,14 +115,14 @@ def check_camera(camera: Camera, views: EdgeViews) -> CalibrationCheck:
     )
 
 
-def unsaid(frames: int) -> CalibrationCheck:
+def undecided(frames: int) -> CalibrationCheck:
     """What is said where so many frames tell nothing."""
     return CalibrationCheck(
         verdict="not told", degrees=0.0, cm=0.0, px=0.0, drift_degrees=0.0, drift_cm=0.0, frames=frames, evidence=0.0
     )
 
 
-def as_sure(errors: float, frames: int) -> float:
+def equivalent_errors(errors: float, frames: int) -> float:
     """How many standard errors so many frames must show to mean as much as ``errors`` of twenty do.
 
     The spread of few frames is itself known badly: their mean in standard errors follows Student's t with one degree of

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.edges import SIGMAS_PX, EdgeViews, sampled
+from farfield.calibration.edges import SIGMAS_PX, EdgeViews, sample_gradient
 from farfield.geometry.cameras import Camera
 
 _CLEAR = 3.0  # times the usual gradient
@@ -46,7 +46,7 @@ def edge_residuals(camera: Camera, views: EdgeViews, *, reach_px: int = 6) -> Ed
     pixels = np.nan_to_num(pixels, nan=-1e6)
     steps = np.arange(-reach_px - 1.0, reach_px + 1.5, 0.5)
     across = np.eye(2)[views.axis]
-    found = np.stack([sampled(views, pixels + step * across, len(SIGMAS_PX) - 1) for step in steps])
+    found = np.stack([sample_gradient(views, pixels + step * across, len(SIGMAS_PX) - 1) for step in steps])
     inner = found[2:-2]
     top = (inner > _CLEAR) & (inner >= found[1:-3]) & (inner >= found[3:-1])
     nearest = np.where(top, np.abs(steps[2:-2])[:, None], np.inf).argmin(axis=0)

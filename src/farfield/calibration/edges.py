@@ -16,7 +16,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.spatial.transform import Rotation
 
 from farfield.calibration.depth_jumps import LidarEdges
-from farfield.calibration.problems import Parameter, Told, unobserved, untold
+from farfield.calibration.problems import Parameter, Progress, no_progress, unobserved_directions
 from farfield.geometry.cameras import Camera
 
 SIGMAS_PX = (8.0, 4.0, 2.0, 1.0)
@@ -45,7 +45,7 @@ _MOST = np.array([15.0] * 3 + [30.0] * 3)
 """How many steps one scale may move."""
 
 
-def moved(camera: Camera, delta: Float[np.ndarray, " 6"]) -> Camera:
+def move_camera(camera: Camera, delta: Float[np.ndarray, " 6"]) -> Camera:
     """A camera turned and shifted: ``camera_T_lidar = exp(delta) camera_T_lidar``, shifts in metres, turns in rad."""
     step = np.eye(4)
     step[:3, :3] = Rotation.from_rotvec(delta[:3]).as_matrix()
@@ -53,8 +53,8 @@ def moved(camera: Camera, delta: Float[np.ndarray, " 6"]) -> Camera:
     return replace(camera, camera_T_lidar=step @ camera.camera_T_lidar)
 
 
-def difference(found: Camera, reference: Camera) -> Float[np.ndarray, " 6"]:
-    """The delta with which ``moved(reference, delta)`` is ``found``: turns in rad, shifts in metres, shape (6,)."""
+def camera_difference(found: Camera, reference: Camera) -> Float[np.ndarray, " 6"]:
+    """The delta with which ``move_camera(reference, delta)`` is ``found``: turns in rad, shifts in metres, shape (6,)."""
     step = found.camera_T_lidar @ np.linalg.inv(reference.camera_T_lidar)
     return np.concatenate([Rotation.from_matrix(step[:3, :3]).as_rotvec(), step[:3, 3]])
 
@@ -103,7 +103,7 @@ class EdgeViews:
         return len(self.levels[0])
 
 
-def views_of(
+def edge_views(
     pictures: Sequence[Shaped[np.ndarray, "height width ..."]],
     edges: Sequence[LidarEdges],
     camera: Camera,
@@ -123,13 +123,13 @@ def views_of(
     levels = tuple(np.stack([image_edges(each, sigma) for each in pictures]) for sigma in SIGMAS_PX)
     nothing = np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0)
     empty = EdgeViews(points_m=nothing[0], frame=nothing[1], axis=nothing[2], weight=nothing[3], levels=levels)
-    return seen_by(empty, edges, camera, margin_px=margin_px, most=most)
+    return select_edges(empty, edges, camera, margin_px=margin_px, most=most)
 
 
-def seen_by(
+def select_edges(
     views: EdgeViews, edges: Sequence[LidarEdges], camera: Camera, *, margin_px: float = 60.0, most: int = 1500
 ) -> EdgeViews:
-    """The same pictures with the edges that another guess of the camera sees; arguments as of :func:`views_of`."""
+    """The same pictures with the edges that another guess of the camera sees; arguments as of :func:`edge_views`."""
     shape = views.levels[-1].shape[2:]
     rows = [_rows(each, replace(camera, width_px=0, height_px=0), shape, margin_px, most) for each in edges]
     points, axis, weight = (np.concatenate(column) for column in zip(*rows, strict=True))
@@ -156,11 +156,11 @@ def _rows(
 def edge_score(camera: Camera, views: EdgeViews, level: int = -1) -> Float[np.ndarray, " frames"]:
     """Weighted mean strength of the picture's edges under the LiDAR's, 1 for edges that fall anywhere, each frame."""
     pixels, _, _ = replace(camera, width_px=0, height_px=0).project(views.points_m)
-    found = sampled(views, np.nan_to_num(pixels, nan=-1e6), level)
+    found = sample_gradient(views, np.nan_to_num(pixels, nan=-1e6), level)
     return np.bincount(views.frame, weights=found * views.weight, minlength=views.count).astype(np.float64)
 
 
-def sampled(views: EdgeViews, pixels: Float[np.ndarray, "n 2"], level: int) -> Float[np.ndarray, " n"]:
+def sample_gradient(views: EdgeViews, pixels: Float[np.ndarray, "n 2"], level: int) -> Float[np.ndarray, " n"]:
     """Values of the gradient across each edge between pixels, at one scale; 0 outside."""
     return _sloped(views, pixels, level)[0]
 
@@ -191,7 +191,7 @@ def align_edges(
     *,
     sigma: Sequence[float] | None = None,
     most: int | None = _ROUGH,
-    told: Told = untold,
+    told: Progress = no_progress,
 ) -> Camera:
     """Move the camera so that edges meet, from coarse to fine; a soft prior keeps what the edges do not tell.
 
@@ -219,7 +219,7 @@ def align_edges(
         if nearest[1] >= best[1]:
             break
         best = nearest
-    return moved(camera, best[0] * scale)
+    return move_camera(camera, best[0] * scale)
 
 
 def _thinned(views: EdgeViews, every: int) -> EdgeViews:
@@ -241,7 +241,7 @@ def refine_edges(camera: Camera, views: EdgeViews, *, sigma: Sequence[float]) ->
     scale = np.array([each.scale for each in PARAMETERS])
     whole = _Problem(camera=camera, views=views, scale=scale, prior=np.array(sigma) / scale)
     ends = [whole.descended(np.zeros(6), levels) for levels in (_FINE, range(len(SIGMAS_PX)))]
-    return moved(camera, min(ends, key=_lacking)[0] * scale)
+    return move_camera(camera, min(ends, key=_lacking)[0] * scale)
 
 
 _Found = tuple[Float[np.ndarray, " 6"], float]
@@ -280,7 +280,7 @@ class _Problem:
         return x, lacking
 
     def pixels(self, x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "n 2"]:
-        there = replace(moved(self.camera, x * self.scale), width_px=0, height_px=0)
+        there = replace(move_camera(self.camera, x * self.scale), width_px=0, height_px=0)
         return np.nan_to_num(there.project(self.views.points_m)[0], nan=-1e6)
 
     def jacobian(self, x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "n 2 6"]:
@@ -314,7 +314,9 @@ class _ScaleObjective:
         return float(-(weight @ found) + pull @ x), 2 * pull - uphill
 
 
-def edge_spread(camera: Camera, views: EdgeViews, *, level: int = 2) -> tuple[Float[np.ndarray, " 6"], tuple[str, ...]]:
+def edge_uncertainty(
+    camera: Camera, views: EdgeViews, *, level: int = 2
+) -> tuple[Float[np.ndarray, " 6"], tuple[str, ...]]:
     """Sigma of an aligned camera from how far single frames disagree, and what the edges cannot tell.
 
     The score's curvature H and the frames' gradients g give H^-1 cov(g) H^-1 / frames (an M-estimator's sandwich:
@@ -348,7 +350,7 @@ def edge_spread(camera: Camera, views: EdgeViews, *, level: int = 2) -> tuple[Fl
     if flat.shape[1]:  # no maximum along these: nothing is known of them
         kept = eye - flat @ flat.T
         information = kept @ information @ kept
-    sentences, _ = unobserved(information, PARAMETERS)
+    sentences, _ = unobserved_directions(information, PARAMETERS)
     if flat.shape[1]:
         return np.full(6, np.inf), sentences
     return np.hypot(np.sqrt(np.diag(np.linalg.inv(information))) * scale, _SYSTEMATIC), sentences
@@ -357,4 +359,4 @@ def edge_spread(camera: Camera, views: EdgeViews, *, level: int = 2) -> tuple[Fl
 def _moved_score(
     x: Float[np.ndarray, " 6"], camera: Camera, views: EdgeViews, level: int, scale: Float[np.ndarray, " 6"]
 ) -> Float[np.ndarray, " frames"]:
-    return edge_score(moved(camera, x * scale), views, level)
+    return edge_score(move_camera(camera, x * scale), views, level)

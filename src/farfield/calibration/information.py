@@ -17,7 +17,7 @@ from farfield.geometry.poses import transform_points
 
 _BINS = 32
 _CELL_PX = 4
-LEAST_FRAMES = 10
+LEAST_INFORMATION_FRAMES = 10
 
 
 def information_distance(

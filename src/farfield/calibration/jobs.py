@@ -13,17 +13,17 @@ from farfield.calibration.edges import (
     PARAMETERS,
     EdgeViews,
     align_edges,
-    difference,
+    camera_difference,
     edge_score,
-    edge_spread,
-    views_of,
+    edge_uncertainty,
+    edge_views,
 )
-from farfield.calibration.information import LEAST_FRAMES, information_distance
-from farfield.calibration.moments import SensorPair, read_moments
+from farfield.calibration.information import LEAST_INFORMATION_FRAMES, information_distance
+from farfield.calibration.moments import SensorPair, read_sensor_pairs
 from farfield.calibration.radar_lidar import RadarCalibration, calibrate_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.calibration.registration import Registration, register
-from farfield.calibration.sweeps import at_moment, pose_track, sweep_edges
+from farfield.calibration.sweeps import deskew_to, pose_track, sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.ascii_table import parse_table
@@ -36,7 +36,7 @@ _PAIRS_HEADER = "x_m,y_m,z_m,u_px,v_px"
 KRADAR_NODE_M = 0.2  # its clouds stand half a cell below the nodes
 
 
-def chosen(data: Dataset, sequence: str | None, frames: int, *, runs: bool) -> list[int]:
+def choose_frames(data: Dataset, sequence: str | None, frames: int, *, runs: bool) -> list[int]:
     """Numbers of the frames to use: spread over the sequence, alone or in runs of ten.
 
     Raises:
@@ -106,7 +106,7 @@ def radar_start(
 
 def radar_job(data: Dataset, indices: Sequence[int], guess: RadarPose) -> RadarJob:
     """Calibrate a K-Radar sequence's radar."""
-    moments = read_moments((data[index] for index in indices), node_m=KRADAR_NODE_M)
+    moments = read_sensor_pairs((data[index] for index in indices), node_m=KRADAR_NODE_M)
     return RadarJob(moments=moments, before=guess, found=calibrate_radar(RadarEvidence.of(moments), guess))
 
 
@@ -134,8 +134,8 @@ class CameraJob:
 
     def to_json(self) -> dict[str, Any]:
         """Change, sigma, residuals in pixels with their histogram, and what is not observed."""
-        sigma, sentences = edge_spread(self.after, self.views)
-        change, units = difference(self.after, self.before), np.array([180 / np.pi] * 3 + [100.0] * 3)
+        sigma, sentences = edge_uncertainty(self.after, self.views)
+        change, units = camera_difference(self.after, self.before), np.array([180 / np.pi] * 3 + [100.0] * 3)
         names = [f"{each.name}_{'deg' if each.unit == 'rad' else 'cm'}" for each in PARAMETERS]
         return {
             "kind": "lidar-camera",
@@ -200,7 +200,7 @@ def camera_job(
     before = replace(before, width_px=pictures[0].shape[1], height_px=pictures[0].shape[0])
     alike = [i for i, each in enumerate(pictures) if each.shape == pictures[0].shape]
     swept = [sweep_edges(data, kept[i], camera=camera, lidar=lidar) for i in alike]
-    views = views_of([pictures[i] for i in alike], [edges for edges, _ in swept], before)
+    views = edge_views([pictures[i] for i in alike], [edges for edges, _ in swept], before)
     after = align_edges(before, views)
     return CameraJob(
         before=before,
@@ -209,21 +209,21 @@ def camera_job(
         picture=pictures[0],
         keys=[frames[i].key for i in alike],
         skewed=sum(not still for _, still in swept),
-        distances=information_check((before, after), data, [kept[i] for i in alike], camera, lidar),
+        distances=information_distances((before, after), data, [kept[i] for i in alike], camera, lidar),
     )
 
 
-def information_check(
+def information_distances(
     cameras: Sequence[Camera], data: Dataset, indices: Sequence[int], camera: str, lidar: str | None
 ) -> tuple[float, ...] | None:
     """Normalised information distance of each calibration; None with too few frames, or where intensity lacks."""
     frames = [data[index] for index in indices]
     clouds = [each.cloud(lidar) for each in frames]
-    if len(frames) < LEAST_FRAMES or any(each.intensity is None for each in clouds):
+    if len(frames) < LEAST_INFORMATION_FRAMES or any(each.intensity is None for each in clouds):
         return None
     points = []
     for index, frame, cloud in zip(indices, frames, clouds, strict=True):
-        still = at_moment(cloud, pose_track(data, index), frame, frame.time_ns_of(camera))
+        still = deskew_to(cloud, pose_track(data, index), frame, frame.time_ns_of(camera))
         points.append(cloud.points_m.astype(np.float64) if still is None else still)
     pictures, strength = [each.images[camera] for each in frames], [each.intensity for each in clouds]
     known = [each for each in strength if each is not None]

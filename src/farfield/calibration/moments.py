@@ -35,7 +35,7 @@ class SensorPair:
     power_db: Float[np.ndarray, " m"]
 
 
-def read_moments(
+def read_sensor_pairs(
     frames: Iterable[Frame], *, lidar: str = "os2-64", radar: str = "radar", node_m: float = 0.0
 ) -> list[SensorPair]:
     """Reduce consecutive frames of one sequence.
@@ -72,8 +72,8 @@ def _moment(frame: Frame, number: int, lidar: str, radar: str, node_m: float) ->
     own = transform_points(invert(pose), echoes.points_m.astype(np.float64)) + node_m
     values = echoes.extra[strength].astype(np.float64)
     decibel = 10 * np.log10(np.maximum(values, 1e-30)) if strength == "power" else values
-    excess = over_usual_db(own, decibel)
-    kept = _highest(own, excess)
+    excess = excess_db(own, decibel)
+    kept = _strongest_of_columns(own, excess)
     return SensorPair(
         number=int(number),
         points_m=points[standing],
@@ -83,7 +83,9 @@ def _moment(frame: Frame, number: int, lidar: str, radar: str, node_m: float) ->
     )
 
 
-def _highest(echoes_m: Float[np.ndarray, "m 3"], decibel: Float[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
+def _strongest_of_columns(
+    echoes_m: Float[np.ndarray, "m 3"], decibel: Float[np.ndarray, " m"]
+) -> Int[np.ndarray, " k"]:
     """Indices of the strongest echo of each column, seen from above."""
     if not len(echoes_m):
         return np.zeros(0, dtype=int)
@@ -110,7 +112,7 @@ def above_ground_m(points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"
     return np.asarray(points_m[:, 2] - ground[cell[:, 0], cell[:, 1]])
 
 
-def over_usual_db(echoes_m: Float[np.ndarray, "m 3"], decibel: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+def excess_db(echoes_m: Float[np.ndarray, "m 3"], decibel: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
     """Power over the median of the same 4 m of range, shape (m,)."""
     ring = np.minimum(np.hypot(echoes_m[:, 0], echoes_m[:, 1]) / 4.0, 200).astype(int)
     usual = ndimage.median(decibel, ring, np.arange(ring.max(initial=0) + 1)) if len(ring) else np.zeros(1)

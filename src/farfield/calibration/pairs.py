@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from farfield.calibration.edges import PARAMETERS as POSE
-from farfield.calibration.edges import moved
+from farfield.calibration.edges import move_camera
 from farfield.calibration.problems import Parameter, Solution, solve
 from farfield.errors import ConfigError, MissingExtraError
 from farfield.geometry.cameras import Camera
@@ -75,13 +75,13 @@ def calibrate_pairs(
     parameters = (*wide, _FOCAL) if focal else wide
     residuals = partial(_residuals, points_m=points_m, pixels=pixels, camera=start, sigma_px=sigma_px)
     solution = solve(residuals, np.zeros(len(parameters)), parameters, huber=_HUBER)
-    found = changed(start, solution.value)
+    found = adjust_camera(start, solution.value)
     return PairCalibration(camera=found, solution=solution, residual_px=solution.after * sigma_px, inlier=inlier)
 
 
-def changed(camera: Camera, value: Float[np.ndarray, " k"]) -> Camera:
+def adjust_camera(camera: Camera, value: Float[np.ndarray, " k"]) -> Camera:
     """A camera moved by the first six values, its focal lengths times exp of the seventh."""
-    there = moved(camera, value[:6])
+    there = move_camera(camera, value[:6])
     if len(value) == 6:
         return there
     matrix = there.matrix.copy()
@@ -97,7 +97,7 @@ def _residuals(
     camera: Camera,
     sigma_px: float,
 ) -> Float[np.ndarray, "n 2"]:
-    there = changed(camera, value)
+    there = adjust_camera(camera, value)
     depth = transform_points(there.camera_T_lidar, points_m)[:, 2]
     seen, _, _ = replace(there, width_px=0, height_px=0).project(points_m)
     return np.where((depth > 0.1)[:, None], (seen - pixels) / sigma_px, 100.0)
@@ -110,7 +110,7 @@ def _best_start(
     if find_spec("cv2") is None:
         raise MissingExtraError("opencv-python-headless", "privacy", "calibrating from pairs without a start")
     factors = np.log([0.6, 0.75, 0.9, 1.0, 1.15, 1.35, 1.7]) if focal else np.zeros(1)
-    tried = [_ransac(points_m, pixels, changed(camera, np.append(np.zeros(6), factor))) for factor in factors]
+    tried = [_ransac(points_m, pixels, adjust_camera(camera, np.append(np.zeros(6), factor))) for factor in factors]
     good = [each for each in tried if each is not None]
     if not good:
         raise ConfigError("pairs: no pose explains six of them. Check the picks, their order and the focal length.")

@@ -14,11 +14,11 @@ _HUBER = 1.345
 _ROUNDS, _STILL = 20, 1e-3  # of the reweighting; steps of ``scale``
 _NAMED = 0.35  # share of a direction from which a parameter is named
 _UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0), "px": ("px", 1.0), "": ("", 1.0)}
-Told = Callable[[float], None]
+Progress = Callable[[float], None]
 """Is told the share of a solver's work that is done, 0 to 1; it may raise to end the work."""
 
 
-def untold(share: float) -> None:
+def no_progress(share: float) -> None:
     """Where nobody waits for progress."""
 
 
@@ -179,7 +179,7 @@ def appraise(
     )
 
 
-def considered(
+def consider_covariance(
     residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
     value: Float[np.ndarray, " k"],
     parameters: Sequence[Parameter],
@@ -275,10 +275,10 @@ def _spread(
     blocks += inverse @ np.diag(factor**2 / prior**2) @ inverse  # what the prior itself may be off
     diagonal = np.sqrt(np.maximum(np.diag(blocks), np.diag(plain)) / np.diag(plain))
     covariance = plain * np.outer(diagonal, diagonal)
-    return covariance, *unobserved(fisher / factor, parameters)
+    return covariance, *unobserved_directions(fisher / factor, parameters)
 
 
-def unobserved(
+def unobserved_directions(
     information: Float[np.ndarray, "k k"], parameters: Sequence[Parameter]
 ) -> tuple[tuple[str, ...], Float[np.ndarray, " k"]]:
     """Name the directions that the data tell less well than the prior does.

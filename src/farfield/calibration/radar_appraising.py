@@ -13,13 +13,13 @@ from farfield.calibration.radar_matching import (
     RadarPose,
     match_frame,
     match_objects,
-    placed,
-    polar,
-    shares,
-    whitened,
+    move_targets,
+    observation_shares,
+    polar_residuals,
+    whitened_residuals,
 )
-from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects, notes_of
-from farfield.calibration.radar_systematic import systematic_of
+from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects, radar_notes
+from farfield.calibration.radar_systematic import systematic_covariance
 from farfield.errors import DatasetError
 
 
@@ -45,16 +45,16 @@ def appraise_radar(
             f"{len(pairs.track)} objects of both sensors lie within {gate_m:g} m of one another, expected "
             f"{LEAST_MATCHES}: move the cloud nearer, or refine"
         )
-    rows, counted = partial(whitened, pairs=pairs), shares(pairs, pose.vector)
+    rows, counted = partial(whitened_residuals, pairs=pairs), observation_shares(pairs, pose.vector)
     solution = appraise(rows, pose.vector, PARAMETERS, group=pairs.track, share=counted)
-    solution = replace(solution, covariance=solution.covariance + systematic_of(pairs, pose.vector))
+    solution = replace(solution, covariance=solution.covariance + systematic_covariance(pairs, pose.vector))
     above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - pose.z_m
-    residual = polar(pose.vector, pairs)
+    residual = polar_residuals(pose.vector, pairs)
     found = RadarCalibration(
         pose=pose,
         solution=solution,
         echoes_above_m=above,
-        notes=notes_of(pose.frames, solution, {}, pairs, above),
+        notes=radar_notes(pose.frames, solution, {}, pairs, above),
         range_m=residual[:, 0],
         azimuth_rad=residual[:, 1],
         rivals={},
@@ -62,7 +62,7 @@ def appraise_radar(
     return found, pairs
 
 
-def matches_of(
+def frame_matches(
     evidence: RadarEvidence, pose: RadarPose, number: int, *, gate_m: float = GATES_M[0]
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
     """Matched objects of one LiDAR frame.
@@ -79,5 +79,5 @@ def matches_of(
     if number not in evidence.targets:
         return np.zeros((0, 2)), np.zeros((0, 2))
     columns = match_frame(evidence, pose.vector, number, number + pose.frames, gate_m)
-    at = placed(pose.vector, columns[0], columns[2], columns[3])
+    at = move_targets(pose.vector, columns[0], columns[2], columns[3])
     return at, columns[5][:, :2]

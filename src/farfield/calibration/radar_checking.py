@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.checking import CalibrationCheck, Verdict, unsaid
+from farfield.calibration.checking import CalibrationCheck, Verdict, undecided
 from farfield.calibration.radar_lidar import GATES_M, RefinedPose, refine_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose, match_objects
 from farfield.errors import DatasetError
@@ -23,7 +23,7 @@ ASKED_M, ASKED_RAD = 0.4, float(np.radians(1.0))
 """Errors that are found nearly always, or nothing is told: a shift in the plane, a turn."""
 CLAIMED = 3.3
 """Sigmas of three values together: one correct calibration in eighty lies farther off."""
-LEAST_FRAMES = 80
+LEAST_RADAR_FRAMES = 80
 LEAST_OBJECTS = 20
 """From fewer no sigma is to be trusted: behind a truck that stays ahead a whole drive shows a dozen objects."""
 _SURE = 1.64  # so much farther, 19 of 20 are claimed
@@ -31,7 +31,7 @@ _FLOOR_M, _FLOOR_RAD = 0.08, float(np.radians(0.3))  # less is no error
 _MOST_FRAMES = 100_000
 
 
-def check_radar(given: RadarPose, evidence: RadarEvidence, *, least: int = LEAST_FRAMES) -> CalibrationCheck:
+def check_radar(given: RadarPose, evidence: RadarEvidence, *, least: int = LEAST_RADAR_FRAMES) -> CalibrationCheck:
     """Check a radar's x, y and yaw by the objects that both sensors see.
 
     Args:
@@ -42,19 +42,19 @@ def check_radar(given: RadarPose, evidence: RadarEvidence, *, least: int = LEAST
     count = len(evidence.moments)
     whole = _refined(given, evidence)
     if whole is None:
-        return unsaid(count)
+        return undecided(count)
     if count < least:
-        return replace(unsaid(count), needed=max(least, _needed(whole, count)))
+        return replace(undecided(count), needed=max(least, _needed(whole, count)))
     change = whole.value[:3] - given.vector[:3]
-    away = distance(change, whole.covariance[:3, :3])
-    told = finds(whole.covariance[:3, :3])
+    away = mahalanobis(change, whole.covariance[:3, :3])
+    told = detectable_errors(whole.covariance[:3, :3])
     enough = count >= 2 * least
     halves = [_refined(given, _half(evidence, late=late)) if enough else None for late in (False, True)]
     apart, between = np.zeros(3), 0.0
     if halves[0] is not None and halves[1] is not None:
         apart = halves[1].value[:3] - halves[0].value[:3]
         both = halves[0].covariance[:3, :3] + halves[1].covariance[:3, :3]
-        between = distance(apart, both)
+        between = mahalanobis(apart, both)
     verdict: Verdict = "fits" if told.enough and _objects(whole, given, evidence) >= LEAST_OBJECTS else "not told"
     if away > CLAIMED and _beyond(change, 1.0):
         verdict = "off"
@@ -96,12 +96,12 @@ class DetectableErrors:
         return self.shift_m <= ASKED_M and self.turn_rad <= ASKED_RAD
 
 
-def distance(change: Float[np.ndarray, " 3"], covariance: Float[np.ndarray, "3 3"]) -> float:
+def mahalanobis(change: Float[np.ndarray, " 3"], covariance: Float[np.ndarray, "3 3"]) -> float:
     """A change of x, y and yaw in sigmas of the three together."""
     return float(np.sqrt(change @ np.linalg.solve(covariance, change)))
 
 
-def finds(covariance: Float[np.ndarray, "3 3"]) -> DetectableErrors:
+def detectable_errors(covariance: Float[np.ndarray, "3 3"]) -> DetectableErrors:
     """What errors a check with this covariance of x, y and yaw would find."""
     known = np.linalg.inv(covariance)
     weakest = float(np.linalg.eigvalsh(known[:2, :2])[0])
@@ -124,11 +124,11 @@ def frames_needed(covariance: Float[np.ndarray, "3 3"], frames: int, systematic:
     """
     own = covariance - systematic
     low, high = frames, _MOST_FRAMES
-    if not finds(systematic + own * frames / high).enough:
+    if not detectable_errors(systematic + own * frames / high).enough:
         return 0
     while high > low + 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if finds(systematic + own * frames / middle).enough else (middle, high)
+        low, high = (low, middle) if detectable_errors(systematic + own * frames / middle).enough else (middle, high)
     return high
 
 

@@ -13,18 +13,18 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from farfield.calibration.bird import PoseHypothesis, correlate
-from farfield.calibration.problems import Parameter, Solution, Told, solve, untold
+from farfield.calibration.problems import Parameter, Progress, Solution, no_progress, solve
 from farfield.calibration.radar_matching import (
     RadarEvidence,
     RadarPose,
     match_objects,
+    observation_shares,
     peak_costs,
-    polar,
-    shares,
-    whitened,
+    polar_residuals,
+    whitened_residuals,
 )
-from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects, notes_of, standing
-from farfield.calibration.radar_systematic import systematic_of
+from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects, radar_notes, standard_errors_worse
+from farfield.calibration.radar_systematic import systematic_covariance
 from farfield.errors import DatasetError
 
 RANGE_CELL_M = 0.462890625  # of K-Radar
@@ -78,7 +78,7 @@ class RadarCalibration:
 
 
 def calibrate_radar(
-    evidence: RadarEvidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4, told: Told = untold
+    evidence: RadarEvidence, guess: RadarPose, *, reach_m: float = 3.0, frames: int = 4, told: Progress = no_progress
 ) -> RadarCalibration:
     """Find the radar's pose and time from a rough start.
 
@@ -99,7 +99,7 @@ def calibrate_radar(
     tried: list[_Tried] = []
     for place, start in enumerate(starts):
         told(_MAPS_SHARE + (1 - _MAPS_SHARE) * place / len(starts))
-        if (refined := _refined(evidence, start, guess)) is not None:
+        if (refined := _solve_start(evidence, start, guess)) is not None:
             tried.append(refined)
     if not tried:
         raise DatasetError(
@@ -109,24 +109,24 @@ def calibrate_radar(
     most = max(len(pairs.track) for _, pairs, _ in tried)
     tried = [each for each in tried if 2 * len(each[1].track) >= most]  # few matches fit anything
     costs = np.array([peak_costs(evidence, pose, guess) for pose, _, _ in tried])
-    best = _nearest(costs)
-    end = _settled(evidence, tried[best], guess)
+    best = _least_cost(costs)
+    end = _search_peaks(evidence, tried[best], guess)
     if abs(end[0].time_offset_s) > evidence.period_s / 2:
-        end = _folded(evidence, end[0].vector, end[0].frames, guess) or end
+        end = _fold_time_offset(evidence, end[0].vector, end[0].frames, guess) or end
     pose, pairs, solution = end
     costs[best] = peak_costs(evidence, pose, guess)
     rivals: dict[int, float] = {}
     for i in np.argsort(np.nanmean(costs, axis=1), kind="stable"):  # the best of each frame offset
         if tried[i][0].frames != pose.frames:
-            rivals.setdefault(tried[i][0].frames, standing(costs[i], costs[best]))
+            rivals.setdefault(tried[i][0].frames, standard_errors_worse(costs[i], costs[best]))
     above = float(np.median(pairs.radar_m[:, 2] - pairs.lidar_m[:, 2])) - guess.z_m
-    solution = replace(solution, covariance=solution.covariance + systematic_of(pairs, solution.value))
-    residual = polar(solution.value, pairs)
+    solution = replace(solution, covariance=solution.covariance + systematic_covariance(pairs, solution.value))
+    residual = polar_residuals(solution.value, pairs)
     return RadarCalibration(
         pose=pose,
         solution=solution,
         echoes_above_m=above,
-        notes=notes_of(pose.frames, solution, rivals, pairs, above),
+        notes=radar_notes(pose.frames, solution, rivals, pairs, above),
         range_m=residual[:, 0],
         azimuth_rad=residual[:, 1],
         rivals=rivals,
@@ -136,7 +136,7 @@ def calibrate_radar(
 _Tried = tuple[RadarPose, MatchedObjects, Solution]
 
 
-def _nearest(costs: Float[np.ndarray, "tries frames"]) -> int:
+def _least_cost(costs: Float[np.ndarray, "tries frames"]) -> int:
     """The try that costs least in the radar frames that it shares with the others: not all have as many peaks."""
     best = 0
     for i in range(1, len(costs)):
@@ -145,26 +145,28 @@ def _nearest(costs: Float[np.ndarray, "tries frames"]) -> int:
     return best
 
 
-def _refined(evidence: RadarEvidence, start: PoseHypothesis, guess: RadarPose) -> _Tried | None:
+def _solve_start(evidence: RadarEvidence, start: PoseHypothesis, guess: RadarPose) -> _Tried | None:
     """Solve from a start of the maps; a time offset of whole frames goes into the frame offset.
 
     Where speeds differ, the objects tell the whole time, however many frames the start is off.
     """
     value, frames = np.array([start.x_m, start.y_m, start.yaw_rad, guess.time_offset_s]), start.frames
     loose = (*PARAMETERS[:3], replace(PARAMETERS[3], prior_sigma=_LOOSE_S))
-    first = _solved(evidence, value, frames, guess, loose, GATES_M)
+    first = _match_and_solve(evidence, value, frames, guess, loose, GATES_M)
     if first is None:
         return None
-    return _folded(evidence, first[1].value, frames, guess)
+    return _fold_time_offset(evidence, first[1].value, frames, guess)
 
 
-def _folded(evidence: RadarEvidence, value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose) -> _Tried | None:
+def _fold_time_offset(
+    evidence: RadarEvidence, value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose
+) -> _Tried | None:
     """Solve again from a solution, with whole frames of its time offset in the frame offset, until none is left."""
     found = None
     for _ in range(_FOLDS):
         late = round(float(value[3] / evidence.period_s))
         value, frames = value - [0.0, 0.0, 0.0, late * evidence.period_s], frames - late
-        found = _solved(evidence, value, frames, guess, PARAMETERS, GATES_M[-2:])
+        found = _match_and_solve(evidence, value, frames, guess, PARAMETERS, GATES_M[-2:])
         if found is None:
             return None
         value = found[1].value
@@ -179,7 +181,7 @@ def _posed(value: Float[np.ndarray, " 4"], frames: int, guess: RadarPose) -> Rad
     return RadarPose(x_m=x, y_m=y, z_m=guess.z_m, yaw_rad=yaw, frames=frames, time_offset_s=time_s)
 
 
-def _settled(evidence: RadarEvidence, found: _Tried, guess: RadarPose) -> _Tried:
+def _search_peaks(evidence: RadarEvidence, found: _Tried, guess: RadarPose) -> _Tried:
     """Solve again from where all peaks together lie nearest to the LiDAR's objects.
 
     Which of neighbouring peaks an object matches depends on where the search comes from, and holds it there; the least
@@ -195,7 +197,7 @@ def _settled(evidence: RadarEvidence, found: _Tried, guess: RadarPose) -> _Tried
         options={"initial_simplex": corners, "xatol": _NEAR_STEPS, "fatol": _NEAR_COST, "maxfev": _MOST_TRIED},
     )
     value = pose.vector + nearest.x * _STEPS
-    end = _solved(evidence, value, pose.frames, guess, PARAMETERS, GATES_M[-2:])
+    end = _match_and_solve(evidence, value, pose.frames, guess, PARAMETERS, GATES_M[-2:])
     return found if end is None else (_posed(end[1].value, pose.frames, guess), *end)
 
 
@@ -205,7 +207,7 @@ def _peaks_away(steps: Float[np.ndarray, " 4"], evidence: RadarEvidence, begun: 
     return float(np.nanmean(peak_costs(evidence, there, guess)))
 
 
-def _solved(
+def _match_and_solve(
     evidence: RadarEvidence,
     value: Float[np.ndarray, " 4"],
     frames: int,
@@ -223,8 +225,8 @@ def _solved(
         pairs = match_objects(evidence, value, frames, gate_m)
         if len(pairs.track) < LEAST_MATCHES:
             return None
-        rows = partial(whitened, pairs=pairs)
-        counted = shares(pairs, value)
+        rows = partial(whitened_residuals, pairs=pairs)
+        counted = observation_shares(pairs, value)
         solution = solve(rows, mean, parameters, group=pairs.track, share=counted, begin=value)
         value, found = solution.value, (pairs, solution)
         if number >= len(gates_m) and (np.abs(value - mean)[:3] < _AT_REST).all():
@@ -258,9 +260,9 @@ def refine_radar(evidence: RadarEvidence, guess: RadarPose) -> RefinedPose:
     Raises:
         DatasetError: If fewer than twelve objects match.
     """
-    found = _solved(evidence, guess.vector, guess.frames, guess, PARAMETERS, GATES_M)
+    found = _match_and_solve(evidence, guess.vector, guess.frames, guess, PARAMETERS, GATES_M)
     if found is None:
         raise DatasetError(f"radar-lidar: expected {LEAST_MATCHES} objects that both sensors see, found fewer")
-    _, pairs, solution = _settled(evidence, (_posed(found[1].value, guess.frames, guess), *found), guess)
-    systematic = systematic_of(pairs, solution.value)
+    _, pairs, solution = _search_peaks(evidence, (_posed(found[1].value, guess.frames, guess), *found), guess)
+    systematic = systematic_covariance(pairs, solution.value)
     return RefinedPose(value=solution.value, covariance=solution.covariance + systematic, systematic=systematic)

@@ -93,7 +93,7 @@ class RadarEvidence:
         return {number: _speeds(each, self.period_s) for number, each in self.targets.items()}
 
 
-def shares(pairs: MatchedObjects, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
+def observation_shares(pairs: MatchedObjects, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " n"]:
     """For how many observations each match counts: an object's echo errs alike in all of its frames.
 
     One whose velocity is not known may drive: it lies wrong by the time between LiDAR and radar times that speed. Such
@@ -105,7 +105,7 @@ def shares(pairs: MatchedObjects, value: Float[np.ndarray, " 4"]) -> Float[np.nd
     return np.asarray(1.0 / ((1.0 + _ALIKE * (count[which] - 1.0)) * (1.0 + alike * (moved_m / _SIGMA_RANGE_M) ** 2)))
 
 
-def placed(
+def move_targets(
     value: Float[np.ndarray, " 4"],
     lidar_m: Float[np.ndarray, "n 3"],
     velocity_m_s: Float[np.ndarray, "n 2"],
@@ -156,7 +156,7 @@ def match_frame(
     width = targets.size_m.max(axis=1, initial=0.0)
     thin = width < THIN_M
     if len(kept) and len(peaks.power_db):
-        away = _squares(placed(value, targets.place_m, speed, targets.lag_s), peaks.place_m)
+        away = _squares(move_targets(value, targets.place_m, speed, targets.lag_s), peaks.place_m)
         weak = peaks.power_db < STRONG_DB
         away[np.ix_(~thin | (gate_m > _WEAK_GATE_M), weak)] = np.inf
         partner = away.argmin(axis=1)
@@ -167,16 +167,16 @@ def match_frame(
     return *(each[kept] for each in columns), seen.reshape(-1, 3), targets.track[kept]
 
 
-def polar(value: Float[np.ndarray, " 4"], pairs: MatchedObjects) -> Float[np.ndarray, "n 2"]:
+def polar_residuals(value: Float[np.ndarray, " 4"], pairs: MatchedObjects) -> Float[np.ndarray, "n 2"]:
     """Residuals in range and azimuth, metres and radians: LiDAR minus radar."""
-    at = placed(value, pairs.lidar_m, pairs.velocity_m_s, pairs.lag_s)
+    at = move_targets(value, pairs.lidar_m, pairs.velocity_m_s, pairs.lag_s)
     seen = pairs.radar_m[:, :2]
     turn = np.arctan2(at[:, 1], at[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
     return np.column_stack([np.hypot(at[:, 0], at[:, 1]) - np.hypot(seen[:, 0], seen[:, 1]), turn])
 
 
-def whitened(value: Float[np.ndarray, " 4"], pairs: MatchedObjects) -> Float[np.ndarray, "n 2"]:
-    """:func:`polar` divided by sigma, less what the ranges of all objects on one side have in common.
+def whitened_residuals(value: Float[np.ndarray, " 4"], pairs: MatchedObjects) -> Float[np.ndarray, "n 2"]:
+    """:func:`polar_residuals` divided by sigma, less what the ranges of all objects on one side have in common.
 
     How deep a body answers depends on what it is and on the side that it shows: cars in the next lane by a decimetre
     more than posts beside the road. On a highway the left holds one kind and the right the other, which is just what
@@ -184,22 +184,24 @@ def whitened(value: Float[np.ndarray, " 4"], pairs: MatchedObjects) -> Float[np.
     sine of the bearing; it is solved for in every residual. Of 0.1, 0.15 and 0.3 m it is what errs least on the
     eighteen simulated highways on which it was chosen.
     """
-    found = polar(value, pairs) / np.column_stack([np.full(len(pairs.track), _SIGMA_RANGE_M), across_rad(pairs)])
-    sine = pairs.radar_m[:, 1] / reach_m(pairs)
+    found = polar_residuals(value, pairs) / np.column_stack(
+        [np.full(len(pairs.track), _SIGMA_RANGE_M), azimuth_sigma_rad(pairs)]
+    )
+    sine = pairs.radar_m[:, 1] / radar_range_m(pairs)
     sides = np.column_stack([np.maximum(sine, 0.0), np.maximum(-sine, 0.0)]) / _SIGMA_RANGE_M
-    counted = sides * shares(pairs, value)[:, None]
+    counted = sides * observation_shares(pairs, value)[:, None]
     told = sides.T @ counted + np.eye(2) / _SIGMA_DEPTH_M**2
     depth = np.linalg.solve(told, counted.T @ np.clip(found[:, 0], -_CLIPPED, _CLIPPED))
     return np.column_stack([found[:, 0] - sides @ depth, found[:, 1]])
 
 
-def across_rad(pairs: MatchedObjects) -> Float[np.ndarray, " n"]:
+def azimuth_sigma_rad(pairs: MatchedObjects) -> Float[np.ndarray, " n"]:
     """One sigma of each match in azimuth."""
     faces = np.hypot(_SIGMA_FACE_M, _GLINT * pairs.width_m)
-    return np.asarray(np.hypot(_SIGMA_AZIMUTH_RAD, faces / reach_m(pairs)))
+    return np.asarray(np.hypot(_SIGMA_AZIMUTH_RAD, faces / radar_range_m(pairs)))
 
 
-def reach_m(pairs: MatchedObjects) -> Float[np.ndarray, " n"]:
+def radar_range_m(pairs: MatchedObjects) -> Float[np.ndarray, " n"]:
     """How far from the radar each match is, seen from above; at least 1 m."""
     return np.asarray(np.maximum(np.hypot(pairs.radar_m[:, 0], pairs.radar_m[:, 1]), 1.0))
 
@@ -215,7 +217,7 @@ def peak_costs(evidence: RadarEvidence, pose: RadarPose, guess: RadarPose) -> Fl
         targets = evidence.targets.get(other - pose.frames)
         if targets is None or not len(targets.place_m) or not (peaks.power_db > STRONG_DB).any():
             continue
-        at = placed(pose.vector, targets.place_m, evidence.speeds[other - pose.frames], targets.lag_s)
+        at = move_targets(pose.vector, targets.place_m, evidence.speeds[other - pose.frames], targets.lag_s)
         strong = peaks.place_m[peaks.power_db > STRONG_DB]
         square = _squares(at, strong).min(axis=0)
         near = np.hypot(strong[:, 0], strong[:, 1])

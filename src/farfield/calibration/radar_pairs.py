@@ -31,7 +31,7 @@ class MatchedObjects:
     tracked: Bool[np.ndarray, " n"]
 
 
-def notes_of(
+def radar_notes(
     frames: int, solution: Solution, rivals: dict[int, float], pairs: MatchedObjects, above_m: float
 ) -> tuple[str, ...]:
     """What the data cannot tell, as sentences."""
@@ -49,7 +49,7 @@ def notes_of(
     return tuple(dict.fromkeys(notes))
 
 
-def standing(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " frames"]) -> float:
+def standard_errors_worse(costs: Float[np.ndarray, " frames"], best: Float[np.ndarray, " frames"]) -> float:
     """By how many standard errors a rival is worse, over the frames that both have, in blocks."""
     gap = costs - best
     blocks = [part[np.isfinite(part)].sum() for part in np.array_split(gap, max(len(gap) // _BLOCK, 2))]

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.problems import considered
-from farfield.calibration.radar_matching import across_rad, reach_m, shares, whitened
+from farfield.calibration.problems import consider_covariance
+from farfield.calibration.radar_matching import azimuth_sigma_rad, observation_shares, radar_range_m, whitened_residuals
 from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
 from farfield.calibration.targets import THIN_M
 
@@ -19,7 +19,7 @@ _BESIDE_M = 0.04  # how far all cars are seen to one side
 _MOST = 3.0  # sigmas of a match: what errs by more does not count so much
 
 
-def systematic_of(pairs: MatchedObjects, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "4 4"]:
+def systematic_covariance(pairs: MatchedObjects, value: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "4 4"]:
     """Covariance of x, y, yaw and time offset by what all echoes err by alike: glint and side lobes of vehicles.
 
     A car's echo is drawn to the nearer corner when it is near, and by side lobes when it is far, on one side of the
@@ -29,9 +29,11 @@ def systematic_of(pairs: MatchedObjects, value: Float[np.ndarray, " 4"]) -> Floa
         pairs: The matches.
         value: x, y, yaw and time offset.
     """
-    reach = reach_m(pairs)
-    wide = (pairs.width_m >= THIN_M) / across_rad(pairs)
+    reach = radar_range_m(pairs)
+    wide = (pairs.width_m >= THIN_M) / azimuth_sigma_rad(pairs)
     turned = np.stack([wide * _TILT_RAD * (1.0 - _TILTED_M / reach), wide * _BESIDE_M / reach])
     errors = np.stack([np.zeros_like(turned), np.clip(turned, -_MOST, _MOST)], axis=-1)
-    rows = partial(whitened, pairs=pairs)
-    return considered(rows, value, PARAMETERS, errors, share=shares(pairs, value)) + np.diag(SYSTEMATIC**2)
+    rows = partial(whitened_residuals, pairs=pairs)
+    return consider_covariance(rows, value, PARAMETERS, errors, share=observation_shares(pairs, value)) + np.diag(
+        SYSTEMATIC**2
+    )

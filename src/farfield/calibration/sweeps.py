@@ -32,7 +32,7 @@ def sweep_edges(data: Dataset, index: int, *, camera: str, lidar: str | None = N
     """
     frame = data[index]
     cloud = frame.cloud(lidar)
-    points = at_moment(cloud, pose_track(data, index), frame, frame.time_ns_of(camera))
+    points = deskew_to(cloud, pose_track(data, index), frame, frame.time_ns_of(camera))
     return lidar_edges(cloud.points_m, cloud.extra.get("ring"), at_picture_m=points), points is not None
 
 
@@ -54,7 +54,7 @@ def pose_track(data: Dataset, index: int) -> PoseTrack | None:
     return PoseTrack(np.array([row[0] for row in rows], dtype=np.int64), np.stack([row[1] for row in rows]))
 
 
-def at_moment(
+def deskew_to(
     cloud: Cloud, track: PoseTrack | None, frame: Frame, moment_ns: int | None
 ) -> Float[np.ndarray, "n 3"] | None:
     """The points of a frame's cloud as they stood at a moment, shape (n, 3); None where times or poses lack."""

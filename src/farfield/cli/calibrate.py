@@ -88,7 +88,7 @@ def run(
         browser: Open the browser; never over SSH.
     """
     from farfield.calibration.from_nothing import InitialGuess
-    from farfield.calibration.jobs import chosen
+    from farfield.calibration.jobs import choose_frames
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
 
@@ -124,7 +124,7 @@ def run(
         )
         return _page(path, given, settings, port=port, browser=browser)
     data = open_dataset(path, **given)
-    indices = chosen(data, sequence, frames, runs=kind == "radar-lidar")
+    indices = choose_frames(data, sequence, frames, runs=kind == "radar-lidar")
     folder.mkdir(parents=True, exist_ok=True)
     if kind == "radar-lidar":
         result = _radar(data, indices, (x, y, yaw, frame_offset), save, folder)

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 import numpy as np
 from jaxtyping import Float32
 
-from farfield.depth.sparse import SLOPE, STEP_M, seen
+from farfield.depth.sparse import SLOPE, STEP_M, remove_hidden
 from farfield.depth.surface import DepthRaster
 
 SIGMA_PX, RADIUS_PX = 1.5, 4
@@ -18,7 +18,7 @@ _LEAST_WEIGHT = 1e-4
 _HOLE_M = 0.3  # doubt for each pixel to the nearest that is known
 
 
-def blended(raster: DepthRaster, *, compiled: bool | None = None) -> DepthRaster:
+def blend_raster(raster: DepthRaster, *, compiled: bool | None = None) -> DepthRaster:
     """Leave out what is hidden and blend the rest; pixels further than 4 px from all that is known stay empty.
 
     The doubt becomes the mean of the neighbours', plus their spread in depth, plus 0.3 m for each pixel to them.
@@ -52,7 +52,7 @@ def blended(raster: DepthRaster, *, compiled: bool | None = None) -> DepthRaster
 
 def _channels(raster: DepthRaster, channels: Float32[np.ndarray, "4 h w"]) -> Float32[np.ndarray, "4 h w"]:
     """Weight, 1 / z, its square and the doubt."""
-    shown = seen(raster.depth_m, (3, 3))
+    shown = remove_hidden(raster.depth_m, (3, 3))
     known = np.isfinite(shown)
     channels[0] = known
     channels[1][known] = 1 / shown[known]

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from farfield.depth.baselines import ip_basic, nearest_depth
-from farfield.depth.blending import blended
+from farfield.depth.blending import blend_raster
 from farfield.depth.mesh import draw_mesh
-from farfield.depth.rings import fan, image_span, ring_numbers, steady
-from farfield.depth.sparse import NEAREST_M, not_hidden, seen, sparse_depth
+from farfield.depth.rings import image_span, ring_numbers, rings_keep_elevation, sample_rings
+from farfield.depth.sparse import NEAREST_M, is_visible, remove_hidden, sparse_depth
 from farfield.depth.surface import DepthRaster, draw_surface
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import Camera
@@ -86,7 +86,7 @@ def depth_map(
     if method not in METHODS:
         raise ConfigError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
     ring = None if ring is None else _counted(ring)
-    if method == "auto" and ring is not None and not steady(points_m, ring):
+    if method == "auto" and ring is not None and not rings_keep_elevation(points_m, ring):
         method = "delaunay"
     if method in ("auto", "rings"):
         ring = ring_numbers(points_m) if ring is None else ring
@@ -133,11 +133,11 @@ def _from_rings(
     aside = np.cos(np.arctan(np.abs([low[0], high[0]]).max()))  # an angle upwards spans more pixels there
     step = float(np.clip(_STEP_PX / camera.matrix[1, 1] * aside, *_STEPS_RAD))
     gap = float(np.radians(max_gap_deg))
-    rings = fan(points_m, ring, camera, step_px=_STEP_PX, max_gap_rad=gap, compiled=compiled)
+    rings = sample_rings(points_m, ring, camera, step_px=_STEP_PX, max_gap_rad=gap, compiled=compiled)
     drawn = draw_surface(rings, camera, step_rad=step, max_gap_rad=gap, compiled=compiled)
-    filled = blended(drawn, compiled=compiled)
+    filled = blend_raster(drawn, compiled=compiled)
     points = sparse_depth(points_m, camera)
-    shown = np.isfinite(points) & not_hidden(points, filled.depth_m)
+    shown = np.isfinite(points) & is_visible(points, filled.depth_m)
     return _whole(filled, np.where(shown, points, np.inf), "rings")
 
 
@@ -149,20 +149,22 @@ def _from_pixels(
     max_gap_deg: float,
     compiled: bool | None,
 ) -> DepthMap:
-    window = window_of(points_m, ring, camera)
+    window = occlusion_window(points_m, ring, camera)
     points = sparse_depth(points_m, camera)
     if method == "ip-basic":  # its first step prefers near points
         return _whole(_unsure(ip_basic(points, far_m=max(100.0, _farthest(points) + 1))), points, method, exact=False)
-    points = seen(points, window)
+    points = remove_hidden(points, window)
     if method == "nearest":
         return _whole(_unsure(nearest_depth(points)), points, method)
     if method == "sparse":
         return _whole(DepthRaster(points, np.zeros(points.shape)), points, method)
     edge_px = float(np.tan(np.radians(max_gap_deg)) * camera.matrix[0, 0])
-    return _whole(blended(draw_mesh(points, max_edge_px=edge_px, compiled=compiled), compiled=compiled), points, method)
+    return _whole(
+        blend_raster(draw_mesh(points, max_edge_px=edge_px, compiled=compiled), compiled=compiled), points, method
+    )
 
 
-def window_of(
+def occlusion_window(
     points_m: Float[np.ndarray, "n 3"], ring: Int[np.ndarray, " n"] | None, camera: Camera
 ) -> tuple[int, int]:
     """Rows and columns in which a sparse point may be hidden: 0.7 of the lines' spacing, and 7; both odd."""

@@ -64,7 +64,7 @@ def ring_numbers(points_m: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"] | 
     return None if best is None else best[1]
 
 
-def steady(points_m: Float[np.ndarray, "n 3"], ring: Int[np.ndarray, " n"]) -> bool:
+def rings_keep_elevation(points_m: Float[np.ndarray, "n 3"], ring: Int[np.ndarray, " n"]) -> bool:
     """Whether each ring keeps an elevation of its own, as seen from its LiDAR, and not where that stands elsewhere.
 
     Args:
@@ -88,7 +88,7 @@ def _spread(elevation: Float[np.ndarray, " n"], ring: Int[np.ndarray, " n"]) -> 
     return float(np.median(np.abs(elevation - mean[ring])))
 
 
-def fan(
+def sample_rings(
     points_m: Float[np.ndarray, "n 3"],
     ring: Int[np.ndarray, " n"],
     camera: Camera,

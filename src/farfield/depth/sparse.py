@@ -33,7 +33,7 @@ def sparse_depth(points_m: Float[np.ndarray, "n 3"], camera: Camera) -> Float[np
     return nearest.reshape(camera.height_px, camera.width_px)
 
 
-def seen(depth_m: Float[np.ndarray, "h w"], window: tuple[int, int]) -> Float[np.ndarray, "h w"]:
+def remove_hidden(depth_m: Float[np.ndarray, "h w"], window: tuple[int, int]) -> Float[np.ndarray, "h w"]:
     """Leave out depths that something nearer hides, by the least depth in a window round each.
 
     Args:
@@ -43,9 +43,9 @@ def seen(depth_m: Float[np.ndarray, "h w"], window: tuple[int, int]) -> Float[np
     from scipy import ndimage
 
     least = ndimage.minimum_filter(depth_m, size=window, mode="nearest")
-    return np.where(not_hidden(depth_m, least), depth_m, np.inf)
+    return np.where(is_visible(depth_m, least), depth_m, np.inf)
 
 
-def not_hidden(depth_m: Float[np.ndarray, "*n"], surface_m: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
+def is_visible(depth_m: Float[np.ndarray, "*n"], surface_m: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
     """Whether depths do not lie behind a surface: beyond 5 % and 0.4 m of it. A surface at inf hides nothing."""
     return depth_m <= (1 + SLOPE) * surface_m + STEP_M

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from farfield.calibration.bird import bird_map
+from farfield.calibration.bird import birds_eye_map
 from farfield.calibration.jobs import CameraJob, RadarJob
 from farfield.calibration.radar_matching import RadarPose
 from farfield.figures.style import INK, MUTED, PATTERNS, house_style, new_figure
@@ -120,7 +120,7 @@ def _draw_from_above(
 ) -> UInt8[np.ndarray, "height width 3"]:
     lidar = job.moments[index]
     radar = next((moment for moment in job.moments if moment.number == lidar.number + pose.frames), lidar)
-    power = np.clip(bird_map(radar.echoes_m, radar.power_db) / 25.0, 0.0, 1.0)
+    power = np.clip(birds_eye_map(radar.echoes_m, radar.power_db) / 25.0, 0.0, 1.0)
     cos, sin = np.cos(pose.yaw_rad), np.sin(pose.yaw_rad)
     x, y = lidar.points_m[:, 0], lidar.points_m[:, 1]
     at = np.column_stack([cos * x - sin * y + pose.x_m, sin * x + cos * y + pose.y_m])

@@ -13,7 +13,7 @@ from _studio_screen import Screen, screen
 from studio.live import studio
 from studio.posts import CAMERA, PLANTED, RADAR, plant_radar, write_kitti, write_kradar
 
-from farfield.calibration.edges import difference
+from farfield.calibration.edges import camera_difference
 from farfield.datasets import open_dataset
 from farfield.geometry.poses import invert
 from farfield.studio.options import CalibrationSettings
@@ -261,7 +261,7 @@ def test_a_camera_is_calibrated_by_clicks_saved_and_read_back(camera: Screen, ki
     camera.press("Control+s")
     until(camera, "!model.state.unsaved", seconds=60)
     read = open_dataset(kitti, format="kitti")[0].cameras["camera"]
-    error = difference(read, CAMERA)
+    error = camera_difference(read, CAMERA)
     assert np.degrees(np.abs(error[:3]).max()) < 0.3
     assert np.abs(error[3:]).max() < 0.25
     assert len(list((kitti / "training" / "calib").glob("000000.txt.before-*"))) == 1

@@ -12,7 +12,7 @@ pytest.importorskip("cv2")
 from studio.live import Client, Live, studio
 from studio.posts import CAMERA, PLANTED, write_kitti
 
-from farfield.calibration.edges import difference
+from farfield.calibration.edges import camera_difference
 from farfield.datasets import open_dataset
 from farfield.datasets.calibration import read_calibration
 from farfield.errors import ConfigError
@@ -177,7 +177,7 @@ def test_picks_are_solved_saved_read_back_and_put_back(live: Live, root: Path, t
         assert saved["files"] == ["training/calib/000000.txt"]
         assert len(saved["copies"]) == 1
         assert not client.until("calib.state")["unsaved"]
-        error = difference(open_dataset(root)[0].cameras["camera"], CAMERA)
+        error = camera_difference(open_dataset(root)[0].cameras["camera"], CAMERA)
         assert np.abs(error).max() < 1e-3
         client.send(op="calib.restore", id="r")
         assert client.until("calib.saved")["restored"]

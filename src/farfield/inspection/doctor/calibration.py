@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from farfield.calibration.checking import CalibrationCheck, check_camera
-from farfield.calibration.edges import EdgeViews, views_of
-from farfield.calibration.jobs import KRADAR_NODE_M, chosen
-from farfield.calibration.moments import read_moments
+from farfield.calibration.edges import EdgeViews, edge_views
+from farfield.calibration.jobs import KRADAR_NODE_M, choose_frames
+from farfield.calibration.moments import read_sensor_pairs
 from farfield.calibration.radar_checking import ASKED_M, ASKED_RAD, check_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.calibration.sweeps import sweep_edges
@@ -33,11 +33,11 @@ def check_calibration(data: Dataset, frames: int, facts: dict[str, Any]) -> Iter
         facts: What was measured is noted here.
     """
     checked = facts.setdefault("calibration", {})
-    indices = chosen(data, None, frames, runs=True)
+    indices = choose_frames(data, None, frames, runs=True)
     names = dict.fromkeys(name for index in indices for name in _pictured(data, index))
     for name in names:
         try:
-            check = check_camera(*camera_views(data, chosen(data, None, frames, runs=False), name))
+            check = check_camera(*camera_views(data, choose_frames(data, None, frames, runs=False), name))
         except (FarfieldError, OSError, ValueError) as error:
             yield Finding(severity="warn", topic=f"calibration of {name}", what=f"could not be checked: {error}")
             continue
@@ -102,7 +102,7 @@ def camera_views(data: Dataset, indices: Iterable[int], name: str) -> tuple[Came
             edges.append(sweep_edges(data, index, camera=name, lidar=lidar)[0])
     if camera is None:
         raise DatasetError(f"{name}: expected frames with this picture and its calibration, found none")
-    return camera, views_of(pictures, edges, camera, margin_px=_MARGIN_PX, most=_EDGES)
+    return camera, edge_views(pictures, edges, camera, margin_px=_MARGIN_PX, most=_EDGES)
 
 
 def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, RadarEvidence]:
@@ -118,4 +118,4 @@ def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, Ra
     pose = invert(sensor.frame_T_sensor)
     x, y, z = (float(value) for value in pose[:3, 3])
     pose_given = RadarPose(x_m=x, y_m=y, z_m=z, yaw_rad=float(np.arctan2(pose[1, 0], pose[0, 0])))
-    return pose_given, RadarEvidence.of(read_moments((data[index] for index in numbers), node_m=KRADAR_NODE_M))
+    return pose_given, RadarEvidence.of(read_sensor_pairs((data[index] for index in numbers), node_m=KRADAR_NODE_M))

@@ -13,17 +13,17 @@ from farfield.calibration.edges import (
     PARAMETERS,
     EdgeViews,
     align_edges,
-    difference,
+    camera_difference,
     edge_score,
-    edge_spread,
-    seen_by,
-    views_of,
+    edge_uncertainty,
+    edge_views,
+    select_edges,
 )
 from farfield.calibration.from_nothing import spread_notes
-from farfield.calibration.jobs import chosen, distance_note, information_check, read_pairs, skew_note
+from farfield.calibration.jobs import choose_frames, distance_note, information_distances, read_pairs, skew_note
 from farfield.calibration.pairs import calibrate_pairs
 from farfield.calibration.places import camera_files, holds_intrinsics, save_camera_where_read
-from farfield.calibration.problems import Told
+from farfield.calibration.problems import Progress
 from farfield.calibration.saving import save_camera
 from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets.base import Dataset
@@ -64,7 +64,7 @@ class CameraTask:
 
     def __init__(self, data: Dataset, settings: CalibrationSettings) -> None:
         self.data, self._pairs = data, settings.pairs
-        indices = chosen(data, settings.sequence, settings.frames, runs=False)
+        indices = choose_frames(data, settings.sequence, settings.frames, runs=False)
         beginning = settings.beginning
         self.sensor = _named(data, indices, settings.camera, guessed=beginning is not None and beginning.given)
         self.indices = [index for index in indices if self.sensor in data[index].images]
@@ -98,7 +98,7 @@ class CameraTask:
         """The camera from which moves are counted."""
         return self._begin
 
-    def prepare(self, progress: Told) -> None:
+    def prepare(self, progress: Progress) -> None:
         """Find the edges of sweeps and pictures."""
         alike = [i for i in self.indices if self.data[i].images[self.sensor].shape == self._shape]
         swept = []
@@ -111,7 +111,7 @@ class CameraTask:
         self.indices = alike
         self.frames = tuple(frame for frame in self.frames if frame.index in alike)
         pictures = [self.data[index].images[self.sensor] for index in alike]
-        self._views = (self._begin, views_of(pictures, self._edges, self._begin))
+        self._views = (self._begin, edge_views(pictures, self._edges, self._begin))
 
     def picks(self) -> tuple[Pick, ...]:
         """Those of the file that was given."""
@@ -138,7 +138,7 @@ class CameraTask:
             Figure(name="pairs", value=float(len(off)), unit=""),
             Figure(name="pairs, rms", value=float(np.sqrt((off**2).mean())) if len(off) else None, unit="px"),
         )
-        sigma, notes = edge_spread(camera, views) if full else (None, ())
+        sigma, notes = edge_uncertainty(camera, views) if full else (None, ())
         return Residuals(
             figures=figures,
             histogram=bars(away.across_px, _LIMITS_PX, "px"),
@@ -157,7 +157,7 @@ class CameraTask:
             float(distance) if z > 0 and np.isfinite(distance) else None for distance, z in zip(off, depth, strict=True)
         ]
 
-    def solve(self, now: Snapshot, how: str, progress: Told, *, focal: bool) -> CalibrationSolution:
+    def solve(self, now: Snapshot, how: str, progress: Progress, *, focal: bool) -> CalibrationSolution:
         """Solve by picked pairs or by edges, from the present values."""
         if how == "pairs":
             return self._by_pairs(now, focal=focal)
@@ -166,8 +166,8 @@ class CameraTask:
         before = self._camera(now.values)
         views = self._seen(before)
         after = align_edges(before, views, told=progress)
-        _, notes = edge_spread(after, views)
-        distances = information_check((before, after), self.data, self.indices, self.sensor, self.lidar)
+        _, notes = edge_uncertainty(after, views)
+        distances = information_distances((before, after), self.data, self.indices, self.sensor, self.lidar)
         all_notes = (*notes, *skew_note(self._skewed, len(self.indices)), *distance_note(distances))
         summary = f"aligned {len(views.points_m)} edges of {len(self.indices)} frames"
         return CalibrationSolution(values=camera_values(after, self._begin), summary=summary, notes=all_notes)
@@ -207,10 +207,10 @@ class CameraTask:
         if self._views is None:
             raise ConfigError("the frames are still being read")
         viewed_by, views = self._views
-        away = difference(camera, viewed_by)
+        away = camera_difference(camera, viewed_by)
         focal = abs(np.log(camera.matrix[0, 0] / viewed_by.matrix[0, 0]))
         if np.abs(away[:3]).max() > _TURNED_RAD or np.abs(away[3:]).max() > _SHIFTED_M or focal > _FOCAL:
-            views = seen_by(views, self._edges, camera)
+            views = select_edges(views, self._edges, camera)
             self._views = (camera, views)
         return views
 

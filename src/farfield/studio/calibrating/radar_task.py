@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.calibration.jobs import KRADAR_NODE_M, chosen, radar_start
-from farfield.calibration.moments import SensorPair, read_moments
+from farfield.calibration.jobs import KRADAR_NODE_M, choose_frames, radar_start
+from farfield.calibration.moments import SensorPair, read_sensor_pairs
 from farfield.calibration.places import save_radar_where_read
-from farfield.calibration.problems import Solution, Told
-from farfield.calibration.radar_appraising import appraise_radar, matches_of
+from farfield.calibration.problems import Progress, Solution
+from farfield.calibration.radar_appraising import appraise_radar, frame_matches
 from farfield.calibration.radar_lidar import RadarCalibration, calibrate_radar
-from farfield.calibration.radar_matching import RadarEvidence, RadarPose, polar
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose, polar_residuals
 from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
 from farfield.calibration.saving import save_radar
 from farfield.datasets.base import Dataset
@@ -60,7 +60,7 @@ class RadarTask:
 
     def __init__(self, data: Dataset, settings: CalibrationSettings) -> None:
         self.data = data
-        self.indices = chosen(data, settings.sequence, settings.frames, runs=True)
+        self.indices = choose_frames(data, settings.sequence, settings.frames, runs=True)
         x_m, y_m, yaw_rad, frames = settings.radar
         self.stored = radar_start(data, self.indices[0])
         start = radar_start(data, self.indices[0], x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
@@ -83,12 +83,12 @@ class RadarTask:
         """No camera."""
         return None
 
-    def prepare(self, progress: Told) -> None:
+    def prepare(self, progress: Progress) -> None:
         """Read the frames and find the objects that both sensors see."""
         moments: list[SensorPair] = []
         for number, index in enumerate(self.indices):
             progress(_READ * number / len(self.indices))
-            moment = read_moments([self.data[index]], lidar=self.lidar, node_m=KRADAR_NODE_M)[0]
+            moment = read_sensor_pairs([self.data[index]], lidar=self.lidar, node_m=KRADAR_NODE_M)[0]
             numbered = self.lidar in self.data[index].indices
             moments.append(moment if numbered else replace(moment, number=number))
         progress(_READ)
@@ -109,7 +109,7 @@ class RadarTask:
         del full
         pose, evidence = _pose(now.values), self._require_evidence()
         number = next((served.number for served in self.frames if served.index == frame), -1)
-        lidar, radar = matches_of(evidence, pose, number)
+        lidar, radar = frame_matches(evidence, pose, number)
         frame_pairs = tuple(
             MatchedPair(lidar_m=(a, b), radar_m=(c, d))
             for (a, b), (c, d) in zip(lidar.tolist(), radar.tolist(), strict=True)
@@ -131,7 +131,7 @@ class RadarTask:
         """None are picked here."""
         return [None for _ in now.picks]
 
-    def solve(self, now: Snapshot, how: str, progress: Told, *, focal: bool) -> CalibrationSolution:
+    def solve(self, now: Snapshot, how: str, progress: Progress, *, focal: bool) -> CalibrationSolution:
         """Solve from matched objects and maps, from the present values."""
         del focal
         if how != "objects":
@@ -203,7 +203,7 @@ def _figures(calibration: RadarCalibration, pairs: int) -> tuple[Figure, ...]:
 
 
 def _points(pose: RadarPose, pairs: MatchedObjects) -> tuple[ResidualPoint, ...]:
-    off = polar(pose.vector, pairs)
+    off = polar_residuals(pose.vector, pairs)
     x, y = pairs.radar_m[:, 0], pairs.radar_m[:, 1]
     table = np.column_stack([np.hypot(x, y), np.arctan2(y, x), pairs.velocity_m_s[:, 0], off])
     step = max(1, len(table) // _MOST_POINTS)

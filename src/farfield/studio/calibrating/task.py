@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.edges import difference, moved
-from farfield.calibration.problems import Parameter, Told
+from farfield.calibration.edges import camera_difference, move_camera
+from farfield.calibration.problems import Parameter, Progress
 from farfield.calibration.radar_matching import RadarPose
 from farfield.datasets.base import Dataset
 from farfield.geometry.cameras import Camera
@@ -50,7 +50,7 @@ def camera_of(values: CameraValues, start: Camera) -> Camera:
         start: The camera from which moves are counted.
     """
     matrix = np.array([[values.fx, 0.0, values.cx], [0.0, values.fy, values.cy], [0.0, 0.0, 1.0]])
-    moved_camera = moved(start, np.array(values.moved, dtype=np.float64))
+    moved_camera = move_camera(start, np.array(values.moved, dtype=np.float64))
     return replace(moved_camera, matrix=matrix, distortion=np.array(values.distortion, dtype=np.float64))
 
 
@@ -58,7 +58,7 @@ def camera_values(camera: Camera, start: Camera) -> CameraValues:
     """A camera as a message; arguments as of :func:`camera_of`."""
     (fx, _, cx), (_, fy, cy), _ = camera.matrix.tolist()
     k1, k2, p1, p2, k3 = camera.distortion.tolist()
-    a, b, c, x, y, z = difference(camera, start).tolist()
+    a, b, c, x, y, z = camera_difference(camera, start).tolist()
     return CameraValues(fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2, k3), moved=(a, b, c, x, y, z))
 
 
@@ -139,7 +139,7 @@ class CalibrationTask(Protocol):
     def start(self) -> Camera | None:
         """The camera from which moves are counted."""
 
-    def prepare(self, progress: Told) -> None:
+    def prepare(self, progress: Progress) -> None:
         """Read the frames; takes seconds."""
 
     def picks(self) -> tuple[Pick, ...]:
@@ -151,7 +151,7 @@ class CalibrationTask(Protocol):
     def off_px(self, now: Snapshot) -> list[float | None]:
         """How far each pick falls from its pixel."""
 
-    def solve(self, now: Snapshot, how: str, progress: Told, *, focal: bool) -> CalibrationSolution:
+    def solve(self, now: Snapshot, how: str, progress: Progress, *, focal: bool) -> CalibrationSolution:
         """Solve from the present values."""
 
     def save(self, now: Snapshot, folder: Path | None) -> list[Path]:
