@@ -21,18 +21,19 @@ import numpy as np
 from _report import header, progress
 from scipy.spatial.transform import Rotation
 
-from farfield.calibration.edge_residuals import EdgeResiduals, edge_residuals
-from farfield.calibration.edges import (
+from farfield.calibration.camera_edges import (
+    EdgeResiduals,
     EdgeViews,
     align_edges,
     camera_difference,
+    edge_residuals,
     edge_uncertainty,
     edge_views,
     move_camera,
 )
-from farfield.calibration.pairs import calibrate_pairs
-from farfield.calibration.registration import register
-from farfield.calibration.sweeps import sweep_edges
+from farfield.calibration.camera_pairs import calibrate_pairs
+from farfield.calibration.depth_edges import sweep_edges
+from farfield.calibration.lidar_lidar import register
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.writer import KRadarWriter

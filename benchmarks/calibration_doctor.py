@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from _report import header, progress
 
+from farfield.calibration.camera_edges import SIGMAS_PX, EdgeViews, move_camera
 from farfield.calibration.checking import check_camera
-from farfield.calibration.edges import SIGMAS_PX, EdgeViews, move_camera
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.writer import KRadarWriter

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from _report import SHARED_REAL, header
 
+from farfield.calibration.camera_edges import align_edges, camera_difference, edge_uncertainty, edge_views, move_camera
 from farfield.calibration.checking import check_camera
-from farfield.calibration.depth_jumps import lidar_edges
-from farfield.calibration.edges import align_edges, camera_difference, edge_uncertainty, edge_views, move_camera
-from farfield.calibration.moments import read_sensor_pairs
+from farfield.calibration.depth_edges import lidar_edges
+from farfield.calibration.radar_features import read_sensor_pairs
 from farfield.calibration.radar_lidar import calibrate_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.datasets import open_dataset
@@ -167,12 +167,12 @@ def kradar_example(folder: Path | None) -> Iterator[str]:
 def radar(frames: Sequence[Frame], starts: int) -> Iterator[str]:
     """View-of-Delft's radar against its LiDAR: x, y and yaw from +-0.5 m and +-1 degree."""
     sensor = frames[0].sensors["radar"].frame_T_sensor
-    moments = [replace(each, number=100 * i) for i, each in enumerate(read_sensor_pairs(frames, lidar="lidar"))]
-    evidence, truth = RadarEvidence.of(moments), invert(sensor)
+    sensor_pairs = [replace(each, number=100 * i) for i, each in enumerate(read_sensor_pairs(frames, lidar="lidar"))]
+    evidence, truth = RadarEvidence.of(sensor_pairs), invert(sensor)
     yaw = float(np.arctan2(truth[1, 0], truth[0, 0]))
     tilt = np.degrees(np.arccos(np.clip(truth[2, 2], -1, 1)))
     yield f"  published: x {truth[0, 3]:.2f}, y {truth[1, 3]:.2f}, z {truth[2, 3]:.2f} m,"
-    counts = ", ".join(str(len(each.echoes_m)) for each in moments)
+    counts = ", ".join(str(len(each.echoes_m)) for each in sensor_pairs)
     yield f"  yaw {np.degrees(yaw):.2f}, tilt {tilt:.2f} deg; {counts} strong echoes a frame"
     rng, notes = np.random.default_rng(0), ("two frames do not tell x, y, yaw or the time offset; z is not solved",)
     for number in range(starts):

@@ -39,9 +39,9 @@ from _report import header
 from calibration_doctor import ERRORS, draw
 from scipy.stats import binom
 
+from farfield.calibration.checking import check_radar
 from farfield.calibration.jobs import KRADAR_NODE_M
-from farfield.calibration.moments import read_sensor_pairs
-from farfield.calibration.radar_checking import check_radar
+from farfield.calibration.radar_features import read_sensor_pairs
 from farfield.calibration.radar_lidar import calibrate_radar
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.geometry.boxes import wrap_angle_rad

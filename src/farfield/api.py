@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from farfield.calibration.boards import BoardCalibration
     from farfield.calibration.jobs import CameraJob, RadarJob
-    from farfield.calibration.registration import Registration
+    from farfield.calibration.lidar_lidar import Registration
     from farfield.datasets.base import Dataset
     from farfield.detectors.info import DescribedDetector, DetectorFunction
     from farfield.detectors.network import Network
@@ -310,7 +310,7 @@ def calibrate(
         raise ConfigError(f"frames: expected one or more, got {frames}")
     if kind == "board":
         from farfield.calibration.boards import Board
-        from farfield.calibration.from_nothing import board_job
+        from farfield.calibration.jobs import board_job
 
         if not isinstance(data, Path | str):
             raise ConfigError("calibrate board: expected a folder of pictures, got a data set")

@@ -26,7 +26,7 @@ def sightings(board: Board, count: int, seed: int, truth: Camera = TRUTH) -> lis
     """Corners as they project, with a tenth of a pixel of noise, without pictures."""
     rng, found = np.random.default_rng(seed), []
     for number, place in enumerate(board_poses(truth, board, count, rng)):
-        pixels = replace(truth, camera_T_lidar=place).project(board.places_m)[0]
+        pixels = replace(truth, camera_T_lidar=place).project(board.corners_m)[0]
         noisy = pixels + rng.normal(0, 0.1, pixels.shape)
         corner = np.arange(len(pixels))
         found.append(Sighting(name=str(number), corner=corner, pixels=noisy, size_px=(truth.width_px, truth.height_px)))
@@ -42,7 +42,7 @@ def test_corners_are_found_within_a_fifth_of_a_pixel(markers: bool) -> None:
     place = board_poses(camera, board, 1, rng)[0]
     found = find_board(render_board(camera, place, board, rng=rng), board, "one")
     assert found is not None
-    truth = replace(camera, camera_T_lidar=place).project(board.places_m)[0]
+    truth = replace(camera, camera_T_lidar=place).project(board.corners_m)[0]
     away = np.linalg.norm(found.pixels - truth[found.corner], axis=1)
     if not markers and away.max() > 5:  # a plain board looks the same turned by half a turn
         away = np.linalg.norm(found.pixels[::-1] - truth[found.corner], axis=1)

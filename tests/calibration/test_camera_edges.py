@@ -5,17 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from farfield.calibration.depth_jumps import lidar_edges
-from farfield.calibration.edge_residuals import EdgeResiduals, edge_residuals
-from farfield.calibration.edges import (
+from farfield.calibration.camera_edges import (
+    EdgeResiduals,
     align_edges,
     camera_difference,
+    edge_residuals,
     edge_score,
     edge_uncertainty,
     edge_views,
     move_camera,
 )
-from farfield.calibration.pairs import calibrate_pairs
+from farfield.calibration.camera_pairs import calibrate_pairs
+from farfield.calibration.depth_edges import lidar_edges
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, transform_points

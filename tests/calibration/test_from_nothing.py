@@ -9,7 +9,7 @@ import pytest
 from street import START_NS, street_frame
 
 from farfield import cli
-from farfield.calibration.mounting import camera_at, camera_from_clicked, read_clicked
+from farfield.calibration.initial_guess import camera_at, camera_from_clicked, read_clicked
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.errors import FileFormatError

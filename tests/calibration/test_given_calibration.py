@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from farfield.calibration.checking import check_camera, equivalent_errors
-from farfield.calibration.edges import SIGMAS_PX, EdgeViews, camera_difference, move_camera, refine_edges
-from farfield.calibration.moments import SensorPair
-from farfield.calibration.radar_checking import check_radar
+from farfield.calibration.camera_edges import SIGMAS_PX, EdgeViews, camera_difference, move_camera, refine_edges
+from farfield.calibration.checking import check_camera, check_radar, equivalent_errors
+from farfield.calibration.radar_features import LidarTargets, SensorPair
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
-from farfield.calibration.targets import LidarTargets
 from farfield.geometry.cameras import Camera
 
 CAMERA = Camera(matrix=np.array([[300.0, 0, 320], [0, 300.0, 180], [0, 0, 1]]), width_px=640, height_px=360)
@@ -110,7 +108,7 @@ def test_few_frames_must_show_more() -> None:
 def road(rng: np.random.Generator, turn_late: float = 0.0) -> RadarEvidence:
     """Posts, some of them coming towards, as LiDAR and radar see them; the radar turns half way if asked."""
     posts = np.column_stack([rng.uniform(0, 120, 70), rng.uniform(-25, 25, 70)])
-    speed, moments = np.where(rng.random(70) < 0.4, -28.0, -14.0), []
+    speed, sensor_pairs = np.where(rng.random(70) < 0.4, -28.0, -14.0), []
     for number in range(16):
         there = posts + np.outer(speed * number * 0.1, [1, 0])
         there = there[(there[:, 0] > 6) & (there[:, 0] < 65)]
@@ -119,7 +117,7 @@ def road(rng: np.random.Generator, turn_late: float = 0.0) -> RadarEvidence:
         echoes = there @ turn + [POSE.x_m, POSE.y_m] + rng.normal(0, 0.1, there.shape)
         points = np.repeat(there, 12, axis=0) + rng.normal(0, 0.02, (12 * len(there), 2))
         heights = np.tile(np.linspace(-1.5, 0.5, 12), len(there))
-        moments.append(
+        sensor_pairs.append(
             SensorPair(
                 number=number,
                 points_m=np.column_stack([points, heights]),
@@ -128,7 +126,7 @@ def road(rng: np.random.Generator, turn_late: float = 0.0) -> RadarEvidence:
                 power_db=rng.uniform(15, 25, len(echoes)),
             )
         )
-    return RadarEvidence.of(moments)
+    return RadarEvidence.of(sensor_pairs)
 
 
 def test_a_radars_errors_are_found() -> None:

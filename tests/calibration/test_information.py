@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from farfield.calibration.edges import move_camera
-from farfield.calibration.information import information_distance
+from farfield.calibration.camera_edges import move_camera
+from farfield.calibration.checking import information_distance
 from farfield.geometry.cameras import Camera
 
 CAMERA = Camera(matrix=np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]]), width_px=320, height_px=240)

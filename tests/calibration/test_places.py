@@ -10,16 +10,16 @@ import pytest
 from drive import frame
 from street import write_street
 
-from farfield.calibration.edges import camera_difference, move_camera
-from farfield.calibration.places import (
+from farfield.calibration.camera_edges import camera_difference, move_camera
+from farfield.calibration.least_squares import Solution
+from farfield.calibration.radar_lidar import RadarCalibration
+from farfield.calibration.radar_matching import RadarPose
+from farfield.calibration.saving import (
     camera_files,
     save_camera_where_read,
     save_lidars_where_read,
     save_radar_where_read,
 )
-from farfield.calibration.problems import Solution
-from farfield.calibration.radar_lidar import RadarCalibration
-from farfield.calibration.radar_matching import RadarPose
 from farfield.datasets import open_dataset
 from farfield.datasets.calibration import write_calibration
 from farfield.datasets.kitti.object import calibration_text

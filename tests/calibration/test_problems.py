@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from farfield.calibration import Parameter, solve
-from farfield.calibration.problems import consider_covariance
+from farfield.calibration.least_squares import consider_covariance
 from farfield.errors import ConfigError
 
 SLOPE = (

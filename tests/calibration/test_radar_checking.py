@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from farfield.calibration.radar_checking import (
-    CLAIMED,
-    _beyond,
-    detectable_errors,
-    frames_needed,
-    mahalanobis,
-)
-from farfield.calibration.radar_systematic import SYSTEMATIC
+from farfield.calibration.checking import CLAIMED, _is_error, detectable_errors, frames_needed, mahalanobis
+from farfield.calibration.radar_lidar import SYSTEMATIC
 
 AHEAD_M = 30.0
 
@@ -29,7 +23,7 @@ def test_a_shift_shows_where_the_objects_stand() -> None:
     assert detectable_errors(known).shift_m < 0.2
 
 
-def test_what_is_found_lies_beyond_what_is_claimed() -> None:
+def test_what_is_found_lies_is_error_what_is_claimed() -> None:
     known = covariance(0.05, np.radians(0.2))
     found = detectable_errors(known)
     for away in np.linspace(0, 2 * np.pi, 12):
@@ -49,14 +43,14 @@ def test_more_frames_tell_what_few_do_not() -> None:
 
 
 def test_no_number_of_frames_undoes_what_is_systematic(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("farfield.calibration.radar_checking.ASKED_M", 0.1)
+    monkeypatch.setattr("farfield.calibration.checking.ASKED_M", 0.1)
     systematic = np.diag(SYSTEMATIC[:3] ** 2)
     assert frames_needed(systematic + covariance(0.1, np.radians(0.4)), 24, systematic) == 0
 
 
 def test_a_shift_between_the_axes_is_as_large_as_along_one() -> None:
     """10 cm at 45 degrees are 7 along each axis, where 8 are no error: no less an error than 10 along one."""
-    assert _beyond(np.array([0.07, 0.07, 0.0]), 1.0)
-    assert not _beyond(np.array([0.05, 0.05, 0.0]), 1.0)
-    assert _beyond(np.array([0.0, 0.0, np.radians(-0.4)]), 1.0)
-    assert not _beyond(np.array([0.0, 0.0, np.radians(-0.4)]), 1.5)
+    assert _is_error(np.array([0.07, 0.07, 0.0]), 1.0)
+    assert not _is_error(np.array([0.05, 0.05, 0.0]), 1.0)
+    assert _is_error(np.array([0.0, 0.0, np.radians(-0.4)]), 1.0)
+    assert not _is_error(np.array([0.0, 0.0, np.radians(-0.4)]), 1.5)

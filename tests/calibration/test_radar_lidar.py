@@ -5,20 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from farfield.calibration.bird import OccupancyMaps, PoseHypothesis, correlate
-from farfield.calibration.moments import SensorPair, above_ground_m
-from farfield.calibration.peaks import find_peaks
-from farfield.calibration.radar_appraising import appraise_radar, frame_matches
+from farfield.calibration.birds_eye_correlation import OccupancyMaps, PoseHypothesis, correlate
+from farfield.calibration.radar_features import SensorPair, above_ground_m, find_peaks, find_targets
 from farfield.calibration.radar_lidar import (
     _fold_time_offset,
     _least_cost,
     _match_and_solve,
     _search_peaks,
+    appraise_radar,
     calibrate_radar,
+    frame_matches,
 )
-from farfield.calibration.radar_matching import RadarEvidence, RadarPose
-from farfield.calibration.radar_pairs import PARAMETERS
-from farfield.calibration.targets import find_targets
+from farfield.calibration.radar_matching import PARAMETERS, RadarEvidence, RadarPose
 from farfield.errors import ConfigError, DatasetError
 
 TRUTH = RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7, yaw_rad=0.012, frames=1, time_offset_s=0.02)
@@ -29,7 +27,7 @@ def road(rng: np.random.Generator, count: int, *, oncoming: bool = True) -> list
     """Thin posts beside the road, standing or coming towards; radar peaks at the true place of the true time."""
     posts = np.column_stack([rng.uniform(0, 160, 90), rng.uniform(-25, 25, 90)])
     speed = np.where((rng.random(90) < 0.4) & oncoming, -28.0, -EGO_M_S)
-    moments = []
+    sensor_pairs = []
     for number in range(count):
         lidar = _visible(posts + np.outer(speed * number * 0.1, [1, 0]))
         late = (number - TRUTH.frames) * 0.1 + TRUTH.time_offset_s
@@ -39,7 +37,7 @@ def road(rng: np.random.Generator, count: int, *, oncoming: bool = True) -> list
         echoes += rng.normal(0, 0.1, echoes.shape)
         points = np.repeat(lidar, 12, axis=0) + rng.normal(0, 0.02, (12 * len(lidar), 2))
         height = np.tile(np.linspace(-1.5, 0.5, 12), len(lidar))
-        moments.append(
+        sensor_pairs.append(
             SensorPair(
                 number=number + 7,
                 points_m=np.column_stack([points, height]),
@@ -48,7 +46,7 @@ def road(rng: np.random.Generator, count: int, *, oncoming: bool = True) -> list
                 power_db=rng.uniform(15, 25, len(echoes)),
             )
         )
-    return moments
+    return sensor_pairs
 
 
 def _visible(places: np.ndarray) -> np.ndarray:
@@ -124,8 +122,10 @@ def test_a_platoon_hides_the_time_and_it_is_said() -> None:
 
 
 def test_maps_find_the_shift() -> None:
-    moments = road(np.random.default_rng(3), 12)
-    best = correlate(OccupancyMaps(moments), PoseHypothesis(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))[0]
+    sensor_pairs = road(np.random.default_rng(3), 12)
+    best = correlate(OccupancyMaps(sensor_pairs), PoseHypothesis(frames=0, yaw_rad=0.0, x_m=-1.0, y_m=0.0, score=0.0))[
+        0
+    ]
     assert abs(best.x_m - TRUTH.x_m) < 2.0
     assert abs(best.y_m - TRUTH.y_m) < 0.5
 
@@ -241,13 +241,13 @@ class StopError(Exception):
 def test_progress_grows_and_may_end_the_work() -> None:
     evidence = RadarEvidence.of(road(np.random.default_rng(0), 12))
     shares: list[float] = []
-    calibrate_radar(evidence, TRUTH, frames=1, told=shares.append)
+    calibrate_radar(evidence, TRUTH, frames=1, progress=shares.append)
     assert shares == sorted(shares)
     assert shares[0] < 0.1
     assert 0.5 < shares[-1] < 1
 
     with pytest.raises(StopError):
-        calibrate_radar(evidence, TRUTH, told=_stopped)
+        calibrate_radar(evidence, TRUTH, progress=_stopped)
 
 
 def _stopped(share: float) -> None:

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from farfield.calibration.moments import SensorPair, _strongest_of_columns
-from farfield.calibration.peaks import STRONG_DB, find_peaks
+from farfield.calibration.radar_features import STRONG_DB, SensorPair, _strongest_of_columns, find_peaks
 from farfield.calibration.radar_matching import RadarEvidence, match_frame
 from farfield.simulation.radar.model import RadarModel, virtual_array
 

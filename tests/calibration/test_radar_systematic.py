@@ -6,15 +6,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from farfield.calibration.problems import solve
+from farfield.calibration.least_squares import solve
+from farfield.calibration.radar_lidar import SYSTEMATIC, systematic_covariance
 from farfield.calibration.radar_matching import (
+    PARAMETERS,
+    MatchedObjects,
     azimuth_sigma_rad,
     observation_shares,
     polar_residuals,
     whitened_residuals,
 )
-from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
-from farfield.calibration.radar_systematic import SYSTEMATIC, systematic_covariance
 
 RIGHT = np.array([-2.5, 0.3, 0.0, 0.02])
 POST_M, CAR_M = 0.2, 1.8

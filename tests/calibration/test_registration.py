@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from farfield.calibration.registration import register
+from farfield.calibration.lidar_lidar import register
 from farfield.errors import DatasetError
 from farfield.geometry.poses import invert, pose, transform_points
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from farfield.calibration import Parameter, Solution
-from farfield.calibration.edges import camera_difference, move_camera
+from farfield.calibration.camera_edges import camera_difference, move_camera
 from farfield.calibration.radar_lidar import RadarCalibration
 from farfield.calibration.radar_matching import RadarPose
 from farfield.calibration.saving import save_camera, save_radar

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from farfield.calibration.depth_jumps import lidar_edges
-from farfield.calibration.sweeps import deskew_to
+from farfield.calibration.depth_edges import deskew_to, lidar_edges
 from farfield.frame import Cloud, Frame
 from farfield.geometry.deskewing import PoseTrack
 

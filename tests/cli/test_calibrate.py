@@ -11,7 +11,7 @@ from drive import frame
 from street import write_street
 
 from farfield import cli
-from farfield.calibration.jobs import read_pairs
+from farfield.calibration.camera_pairs import read_pairs
 from farfield.cli import calibrate
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.errors import FileFormatError

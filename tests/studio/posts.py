@@ -6,9 +6,8 @@ import numpy as np
 from drive import frame as drive_frame
 from PIL import Image, ImageDraw
 
-from farfield.calibration.edges import move_camera
+from farfield.calibration.camera_edges import move_camera
 from farfield.calibration.radar_matching import RadarPose
-from farfield.calibration.saving import radar_T_lidar
 from farfield.datasets.kitti.object import calibration_text
 from farfield.datasets.kradar.writer import KRadarWriter
 from farfield.frame import Cloud
@@ -114,7 +113,7 @@ def _columns(points: np.ndarray, ring: np.ndarray) -> dict[str, np.ndarray]:
 def _echoes(rng: np.random.Generator, there: np.ndarray) -> np.ndarray:
     """x, y, z, power in the radar's own coordinates: posts over weak clutter, half a cell below the nodes."""
     near = there[:, :2] * (1 - RADIUS_M / np.hypot(there[:, 0], there[:, 1]))[:, None]
-    own = transform_points(radar_T_lidar(RADAR), np.column_stack([near, np.zeros(len(near))]))
+    own = transform_points(RADAR.matrix, np.column_stack([near, np.zeros(len(near))]))
     own[:, :2] += rng.normal(0, 0.06, (len(own), 2))
     weak = rng.uniform([3, -28, -1], [66, 28, 2], (1500, 3))
     places = np.concatenate([own, weak]) - 0.2

@@ -1,4 +1,4 @@
-"""A board as a picture to print, and as a camera would see it: pictures whose calibration is known."""
+"""Pictures of a calibration board: to print, and as a camera of known calibration would see it."""
 
 from dataclasses import replace
 
@@ -72,9 +72,9 @@ def _outline(camera: Camera, camera_T_board: Float[np.ndarray, "4 4"], board: Bo
     ends = ((board.columns + 2.0), (board.rows + 2.0), -_MARGIN)
     around = [np.column_stack([x, np.full(12, end)]) for end in (ends[1], ends[2])]
     around += [np.column_stack([np.full(12, end), y]) for end in (ends[0], ends[2])]
-    places = np.column_stack([np.concatenate(around) * board.square_m, np.zeros(48)])
+    rim_m = np.column_stack([np.concatenate(around) * board.square_m, np.zeros(48)])
     plain = replace(camera, camera_T_lidar=camera_T_board, width_px=0, height_px=0)
-    pixels = plain.project(places)[0]
+    pixels = plain.project(rim_m)[0]
     limit = np.array([camera.width_px, camera.height_px])
     low = np.clip(np.floor(np.nan_to_num(pixels, nan=-1e6).min(axis=0)), 0, limit).astype(int)
     high = np.clip(np.ceil(np.nan_to_num(pixels, nan=1e6).max(axis=0)) + 1, 0, limit).astype(int)
@@ -94,13 +94,13 @@ def _texture(
     """
     down, across = (np.linspace(a[0], a[-1], max(int((a[-1] - a[0]) / _KNOTS_PX), 4)) for a in (rows, columns))
     v, u = np.meshgrid(down, across, indexing="ij")
-    flat = (np.column_stack([u.ravel(), v.ravel()]) - camera.matrix[:2, 2]) / np.diag(camera.matrix)[:2]
-    rays = np.column_stack([undistort(flat, camera.distortion), np.ones(len(flat))])
+    image_plane = (np.column_stack([u.ravel(), v.ravel()]) - camera.matrix[:2, 2]) / np.diag(camera.matrix)[:2]
+    rays = np.column_stack([undistort(image_plane, camera.distortion), np.ones(len(image_plane))])
     board_T_camera = invert(camera_T_board)
     towards, origin = rays @ board_T_camera[:3, :3].T, board_T_camera[:3, 3]
-    reach = -origin[2] / np.where(np.abs(towards[:, 2]) > 1e-3, towards[:, 2], 1e-3)
-    cell = ((origin[:2] + towards[:, :2] * reach[:, None]) / board.square_m + _MARGIN) * _FINE_PX - 0.5
-    cell = np.where((reach > 0)[:, None], np.clip(cell, -1e4, 1e5), -1e4).reshape(*u.shape, 2)
+    range_m = -origin[2] / np.where(np.abs(towards[:, 2]) > 1e-3, towards[:, 2], 1e-3)
+    cell = ((origin[:2] + towards[:, :2] * range_m[:, None]) / board.square_m + _MARGIN) * _FINE_PX - 0.5
+    cell = np.where((range_m > 0)[:, None], np.clip(cell, -1e4, 1e5), -1e4).reshape(*u.shape, 2)
     x, y = (RectBivariateSpline(down, across, cell[..., axis])(rows, columns).astype(np.float32) for axis in (0, 1))
     texture = board_picture(board, _FINE_PX).astype(np.float32)
     return np.asarray(ndimage.map_coordinates(texture, np.stack([y, x]), order=1, mode="constant", cval=110.0))
@@ -121,19 +121,19 @@ def board_poses(camera: Camera, board: Board, count: int, rng: np.random.Generat
     size = np.array([board.columns + 1, board.rows + 1]) * board.square_m
     ends = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
     limit = np.array([camera.width_px, camera.height_px])
-    found: list[np.ndarray] = []
+    poses: list[np.ndarray] = []
     for _ in range(1000 * count):
-        corner = len(found) % 5  # the fifth: anywhere
+        corner = len(poses) % 5  # the fifth: anywhere
         turn = Rotation.from_euler("xyz", rng.uniform([-40, -40, -15], [40, 40, 15]), degrees=True).as_matrix()
         edge = 0.03 + 0.94 * ends[corner] if corner < 4 else rng.uniform(0.1, 0.9, 2)
         pixel = (edge * (limit - 1))[None]
         ray = undistort((pixel - camera.matrix[:2, 2]) / np.diag(camera.matrix)[:2], camera.distortion)[0]
-        reach = rng.uniform(0.5, 1.3) * size[0] * camera.matrix[0, 0] / (0.6 * camera.width_px)
+        range_m = rng.uniform(0.5, 1.3) * size[0] * camera.matrix[0, 0] / (0.6 * camera.width_px)
         held = np.append(ends[corner] * size, 0.0) if corner < 4 else np.append(size / 2, 0.0)
-        placed = pose(turn, np.append(ray, 1.0) * reach - turn @ held)
-        seen = replace(camera, camera_T_lidar=placed)
-        if seen.project(np.column_stack([ends * size, np.zeros(4)]))[2].all():
-            found.append(placed)
-        if len(found) == count:
-            return found
-    raise ConfigError(f"careful_poses: found {len(found)} of {count} poses that show the whole board")
+        camera_T_board = pose(turn, np.append(ray, 1.0) * range_m - turn @ held)
+        posed = replace(camera, camera_T_lidar=camera_T_board)
+        if posed.project(np.column_stack([ends * size, np.zeros(4)]))[2].all():
+            poses.append(camera_T_board)
+        if len(poses) == count:
+            return poses
+    raise ConfigError(f"board_poses: found {len(poses)} of {count} poses that show the whole board")

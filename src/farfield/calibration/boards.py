@@ -1,7 +1,10 @@
 """Intrinsics and distortion from pictures of a chessboard or a ChArUco board (Zhang, PAMI 2000, by OpenCV).
 
-A chessboard has to be seen whole; of a ChArUco board (a chessboard with markers in its white squares) a part is enough,
-so that corners of the picture, where distortion shows, are reached. Needs OpenCV.
+Minimised is the distance, in pixels, of all corners from their projections, over focal lengths, principal point, four
+or five coefficients of distortion, and the board's pose in each picture. :func:`find_board` finds the corners,
+:func:`calibrate_board` is the algorithm. A chessboard has to be seen whole; of a ChArUco board (a chessboard with
+markers in its white squares) a part is enough, so that corners of the picture, where distortion shows, are reached.
+Needs OpenCV.
 """
 
 from collections.abc import Iterable
@@ -23,7 +26,8 @@ _DICTIONARY = "DICT_5X5_1000"
 _MARKER = 0.72  # of a square's side
 _WINDOW = 0.075  # of a square's side: markers begin at 0.14
 _COEFFICIENTS = 5
-_ASKED = 2.0  # times the criterion's own: corners of one picture err together
+_FIELDS = (6, 4)  # of the picture, in which corners are counted
+_CRITERION = 2.0  # times the criterion's own: corners of one picture err together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +51,7 @@ class Board:
             raise ConfigError(f"board: expected two or more inner corners each way and a side, got {self}")
 
     @property
-    def places_m(self) -> Float[np.ndarray, "n 3"]:
+    def corners_m(self) -> Float[np.ndarray, "n 3"]:
         """Inner corners on the board, row by row, shape (n, 3); z is 0."""
         y, x = np.mgrid[1 : self.rows + 1, 1 : self.columns + 1]
         return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * self.square_m
@@ -55,9 +59,9 @@ class Board:
     def detector(self) -> Any:
         """OpenCV's description of the ChArUco board."""
         cv2 = opencv()
-        words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _DICTIONARY))
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _DICTIONARY))
         size = (self.columns + 1, self.rows + 1)
-        return cv2.aruco.CharucoBoard(size, self.square_m, _MARKER * self.square_m, words)
+        return cv2.aruco.CharucoBoard(size, self.square_m, _MARKER * self.square_m, markers)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,7 +70,7 @@ class Sighting:
 
     Args:
         name: The picture.
-        corner: Numbers of the corners that were found, shape (n,).
+        corner: Numbers of the corners that are visible, shape (n,).
         pixels: Their pixels, shape (n, 2).
         size_px: Width and height of the picture.
     """
@@ -79,7 +83,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BoardCalibration:
-    """What was found.
+    """Intrinsics of a camera from pictures of a board.
 
     Args:
         camera: Intrinsics and distortion; the pose is that of a camera that looks ahead.
@@ -160,17 +164,17 @@ def find_board(picture: UInt8[np.ndarray, "height width 3"], board: Board, name:
         corners, numbers, _, _ = cv2.aruco.CharucoDetector(board.detector()).detectBoard(grey)
         if numbers is None or len(numbers) < _LEAST_CORNERS:
             return None
-        found, pixels = numbers.ravel().astype(np.int64), _refined(grey, corners.reshape(-1, 2), _WINDOW)
-        return Sighting(name=name, corner=found, pixels=pixels, size_px=size)
+        pixels = _refine_corners(grey, corners.reshape(-1, 2), _WINDOW)
+        return Sighting(name=name, corner=numbers.ravel().astype(np.int64), pixels=pixels, size_px=size)
     flags = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
-    done, corners = cv2.findChessboardCornersSB(grey, (board.columns, board.rows), flags=flags)
-    if not done:
+    is_complete, corners = cv2.findChessboardCornersSB(grey, (board.columns, board.rows), flags=flags)
+    if not is_complete:
         return None
-    pixels = _refined(grey, corners.reshape(-1, 2), 2 * _WINDOW)
+    pixels = _refine_corners(grey, corners.reshape(-1, 2), 2 * _WINDOW)
     return Sighting(name=name, corner=np.arange(len(pixels)), pixels=pixels, size_px=size)
 
 
-def _refined(
+def _refine_corners(
     grey: UInt8[np.ndarray, "height width"], pixels: Shaped[np.ndarray, "n 2"], window: float
 ) -> Float[np.ndarray, "n 2"]:
     """Corners to a tenth of a pixel, in a window (in squares) that holds one corner and no marker's edge."""
@@ -179,8 +183,8 @@ def _refined(
     square_px = float(np.median(apart[:, 1]))
     half = int(np.clip(round(window * square_px), 2, 6))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
-    begun = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
-    return np.asarray(cv2.cornerSubPix(grey, begun, (half, half), (-1, -1), stop).reshape(-1, 2), dtype=np.float64)
+    start = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
+    return np.asarray(cv2.cornerSubPix(grey, start, (half, half), (-1, -1), stop).reshape(-1, 2), dtype=np.float64)
 
 
 def calibrate_board(sightings: Iterable[Sighting], board: Board) -> BoardCalibration:
@@ -196,58 +200,63 @@ def calibrate_board(sightings: Iterable[Sighting], board: Board) -> BoardCalibra
         ConfigError: If there are fewer than five, or of different sizes.
         MissingExtraError: If OpenCV is not there.
     """
-    seen = list(sightings)
-    sizes = sorted({each.size_px for each in seen})
-    if len(seen) < LEAST_PICTURES or len(sizes) != 1:
-        got = f"{len(seen)} of the sizes {sizes}" if len(sizes) > 1 else f"{len(seen)}"
+    pictures = list(sightings)
+    sizes = sorted({picture.size_px for picture in pictures})
+    if len(pictures) < LEAST_PICTURES or len(sizes) != 1:
+        got = f"{len(pictures)} of the sizes {sizes}" if len(sizes) > 1 else f"{len(pictures)}"
         raise ConfigError(f"board: expected {LEAST_PICTURES} or more pictures of one size with the board, got {got}")
-    solved = _solve(seen, board)
-    bad = solved.error_px > _WORST * np.median(solved.error_px)
+
+    # 1. Solve with all pictures.
+    solution = _solve(pictures, board)
+
+    # 2. Leave out those with wrong corners, and solve again, if enough remain.
+    median_px = np.median(solution.error_px)
     left_out = {
-        each.name: f"fits {error:.2f} px, the median picture {np.median(solved.error_px):.2f} px"
-        for each, error, out in zip(seen, solved.error_px, bad, strict=True)
-        if out
+        picture.name: f"fits {error_px:.2f} px, the median picture {median_px:.2f} px"
+        for picture, error_px in zip(pictures, solution.error_px, strict=True)
+        if error_px > _WORST * median_px
     }
-    if left_out and len(seen) - len(left_out) >= LEAST_PICTURES:
-        solved = _solve([each for each in seen if each.name not in left_out], board)
+    if left_out and len(pictures) - len(left_out) >= LEAST_PICTURES:
+        solution = _solve([picture for picture in pictures if picture.name not in left_out], board)
     else:
         left_out = {}
+
+    # 3. The camera, its sigma, and where in the picture corners were.
     width, height = sizes[0]
     camera = Camera(
-        matrix=np.asarray(solved.matrix, dtype=np.float64),
-        distortion=np.asarray(solved.distortion, dtype=np.float64).ravel()[:_COEFFICIENTS],
+        matrix=np.asarray(solution.matrix, dtype=np.float64),
+        distortion=np.asarray(solution.distortion, dtype=np.float64).ravel()[:_COEFFICIENTS],
         camera_T_lidar=CAMERA_T_LIDAR_AXES.copy(),
         width_px=width,
         height_px=height,
     )
+    fields = [
+        np.floor(picture.pixels / np.array(picture.size_px) * _FIELDS).clip(0, np.array(_FIELDS) - 1)
+        for picture in solution.sightings
+    ]
     return BoardCalibration(
         camera=camera,
-        sigma=np.asarray(solved.sigma, dtype=np.float64).ravel()[: 4 + _COEFFICIENTS],
-        error_px=solved.error_px,
-        used=tuple(each.name for each in solved.sightings),
+        sigma=np.asarray(solution.sigma, dtype=np.float64).ravel()[: 4 + _COEFFICIENTS],
+        error_px=solution.error_px,
+        used=tuple(picture.name for picture in solution.sightings),
         left_out=left_out,
-        covered=_covered(solved.sightings),
+        covered=len(np.unique(np.concatenate(fields), axis=0)) / (_FIELDS[0] * _FIELDS[1]),
     )
 
 
-def _solve(seen: list[Sighting], board: Board) -> _BoardSolution:
+def _solve(pictures: list[Sighting], board: Board) -> _BoardSolution:
     """Without k3, and with it where the corners ask for it (Bayesian information criterion)."""
     cv2 = opencv()
-    places = board.places_m.astype(np.float32)
-    objects = [places[each.corner] for each in seen]
-    pixels = [each.pixels.astype(np.float32).reshape(-1, 1, 2) for each in seen]
-    tried = []
+    corners_m = board.corners_m.astype(np.float32)
+    objects = [corners_m[picture.corner] for picture in pictures]
+    pixels = [picture.pixels.astype(np.float32).reshape(-1, 1, 2) for picture in pictures]
+    fits = []
     for flags in (cv2.CALIB_FIX_K3, 0):
-        done = cv2.calibrateCameraExtended(objects, pixels, seen[0].size_px, None, None, flags=flags)
-        rms, matrix, distortion, _, _, sigma, _, error = done
-        tried.append(
-            (rms, _BoardSolution(matrix, distortion, sigma, np.asarray(error, dtype=np.float64).ravel(), seen))
+        rms, matrix, distortion, _, _, sigma, _, error = cv2.calibrateCameraExtended(
+            objects, pixels, pictures[0].size_px, None, None, flags=flags
         )
-    numbers = 2 * sum(len(each.corner) for each in seen)
-    gain = 2 * numbers * np.log(tried[0][0] / max(tried[1][0], 1e-12))
-    return tried[int(gain > _ASKED * np.log(numbers))][1]
-
-
-def _covered(seen: list[Sighting]) -> float:
-    fields = [np.floor(each.pixels / np.array(each.size_px) * [6, 4]).clip(0, [5, 3]) for each in seen]
-    return len(np.unique(np.concatenate(fields), axis=0)) / 24
+        error_px = np.asarray(error, dtype=np.float64).ravel()
+        fits.append((rms, _BoardSolution(matrix, distortion, sigma, error_px, pictures)))
+    numbers = 2 * sum(len(picture.corner) for picture in pictures)
+    gain = 2 * numbers * np.log(fits[0][0] / max(fits[1][0], 1e-12))
+    return fits[int(gain > _CRITERION * np.log(numbers))][1]

@@ -87,7 +87,7 @@ def run(
         port: Port of the page; the first free one from 8877 on unless given.
         browser: Open the browser; never over SSH.
     """
-    from farfield.calibration.from_nothing import InitialGuess
+    from farfield.calibration.initial_guess import InitialGuess
     from farfield.calibration.jobs import choose_frames
     from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
@@ -157,8 +157,7 @@ def _write(folder: Path, result: dict[str, Any]) -> int:
 
 def _radar(data: Any, indices: list[int], start: tuple[Any, ...], save: Path | None, folder: Path) -> dict[str, Any]:
     from farfield.calibration.jobs import radar_job, radar_start
-    from farfield.calibration.places import save_radar_where_read
-    from farfield.calibration.saving import save_radar
+    from farfield.calibration.saving import save_radar, save_radar_where_read
     from farfield.figures.rig import radar_calibration_picture
     from farfield.files.images import write_image
 
@@ -166,13 +165,15 @@ def _radar(data: Any, indices: list[int], start: tuple[Any, ...], save: Path | N
     turn = None if yaw is None else math.radians(yaw)
     guess = replace(radar_start(data, indices[0], x_m=x, y_m=y, yaw_rad=turn), frames=offset)
     job = radar_job(data, indices, guess)
-    write_image(folder / "before-after.png", radar_calibration_picture(job))
+    write_image(
+        folder / "before-after.png", radar_calibration_picture(*map(job.from_above, (job.before, job.calibration.pose)))
+    )
     if save is not None:
         if save.is_dir():
-            _wrote(save_radar_where_read(data, indices[0], job.found))
+            _wrote(save_radar_where_read(data, indices[0], job.calibration))
         else:
             difference = data.frame_difference(data.sequences[indices[0]])
-            _wrote(save_radar(save, job.found, difference=difference))
+            _wrote(save_radar(save, job.calibration, difference=difference))
     return job.to_json()
 
 
@@ -185,30 +186,30 @@ def _camera(
     save: Path | None,
     folder: Path,
 ) -> dict[str, Any]:
-    from farfield.calibration.from_nothing import pairs_job
-    from farfield.calibration.jobs import camera_job, read_pairs
-    from farfield.calibration.pairs import calibrate_pairs
+    from farfield.calibration.camera_pairs import calibrate_pairs, read_pairs
+    from farfield.calibration.jobs import camera_job, pairs_job
     from farfield.errors import ConfigError
     from farfield.figures.camera import boxes_picture
     from farfield.figures.rig import camera_calibration_picture
     from farfield.files.images import write_image
 
-    index, chosen = _pictured(data, indices, name, uncalibrated=beginning.given)
+    index, chosen = _pictured(data, indices, name, uncalibrated=not beginning.empty)
     first = data[index]
     known = first.cameras.get(chosen)
-    start = known if not beginning.given else beginning.camera(chosen, first.images[chosen].shape, known)
+    start = known if beginning.empty else beginning.camera(chosen, first.images[chosen].shape, known)
     if known is None and picks[0] is None and not (beginning.intrinsics and (beginning.car or beginning.position_m)):
         raise ConfigError(f"{chosen} has no calibration: give --pairs, or --intrinsics with --car or --position")
     if picks[0] is not None and beginning.focal_px is not None:  # nothing but pairs
         alone = pairs_job(data, index, chosen, read_pairs(picks[0]), start, focal=True)
-        found = alone.found.camera
+        found = alone.calibration.camera
         write_image(folder / "boxes.png", boxes_picture(alone.picture, found, alone.boxes, alone.points_m))
         _save_camera(data, index, chosen, known, found, save)
         return alone.to_json()
     if picks[0] is not None:
         start = calibrate_pairs(*read_pairs(picks[0]), start, focal=picks[1]).camera
     job = camera_job(data, indices, camera=chosen, start=start if start is not known else None)
-    write_image(folder / "before-after.png", camera_calibration_picture(job))
+    edges_m = job.views.points_m[job.views.frame == 0]
+    write_image(folder / "before-after.png", camera_calibration_picture(job.picture, edges_m, job.before, job.after))
     _save_camera(data, index, chosen, known, job.after, save)
     return job.to_json()
 
@@ -227,8 +228,7 @@ def _pictured(data: Any, indices: list[int], name: str | None, *, uncalibrated: 
 
 
 def _save_camera(data: Any, index: int, name: str, before: Any, after: Any, save: Path | None) -> None:
-    from farfield.calibration.places import save_camera_where_read
-    from farfield.calibration.saving import save_camera
+    from farfield.calibration.saving import save_camera, save_camera_where_read
 
     if save is not None and save.is_dir():
         _wrote(save_camera_where_read(data, index, name, before, after))
@@ -244,7 +244,7 @@ def _wrote(paths: list[Path]) -> None:
 
 def _lidars(data: Any, indices: list[int], names: tuple[str, str], save: Path | None) -> dict[str, Any]:
     from farfield.calibration.jobs import lidars_job
-    from farfield.calibration.places import save_lidars_where_read
+    from farfield.calibration.saving import save_lidars_where_read
     from farfield.files.atomic import write_text
 
     found = lidars_job(data, indices, *names)
@@ -262,7 +262,7 @@ def _board(
     path: Path, described: tuple[tuple[int, int], float, bool], name: str | None, save: Path | None
 ) -> dict[str, Any]:
     from farfield.calibration.boards import Board
-    from farfield.calibration.from_nothing import board_job
+    from farfield.calibration.jobs import board_job
     from farfield.calibration.saving import save_camera
 
     (columns, rows), square, charuco = described

@@ -5,9 +5,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from farfield.calibration.bird import birds_eye_map
-from farfield.calibration.jobs import CameraJob, RadarJob
-from farfield.calibration.radar_matching import RadarPose
 from farfield.figures.style import INK, MUTED, PATTERNS, house_style, new_figure
 from farfield.geometry.cameras import Camera
 from farfield.inspection.placement import RigPlacement, SensorPlacement
@@ -82,12 +79,18 @@ _SCALE = 4
 _BEFORE, _AFTER = (255, 64, 64), (64, 255, 64)
 
 
-def camera_calibration_picture(job: CameraJob) -> UInt8[np.ndarray, "height width 3"]:
-    """The first frame twice, one above the other, with the LiDAR's depth edges: red before, green after."""
-    own = job.views.points_m[job.views.frame == 0]
-    halves = [
-        _draw_edges(job.picture, camera, own, ink) for camera, ink in ((job.before, _BEFORE), (job.after, _AFTER))
-    ]
+def camera_calibration_picture(
+    picture: UInt8[np.ndarray, "height width 3"], edges_m: Float[np.ndarray, "n 3"], before: Camera, after: Camera
+) -> UInt8[np.ndarray, "2*height width 3"]:
+    """A picture twice, one above the other, with the LiDAR's depth edges: red before, green after.
+
+    Args:
+        picture: Shape (height, width, 3).
+        edges_m: Depth edges of its sweep in the LiDAR's frame, shape (n, 3).
+        before: The camera before the calibration.
+        after: The camera after it.
+    """
+    halves = [_draw_edges(picture, camera, edges_m, ink) for camera, ink in ((before, _BEFORE), (after, _AFTER))]
     return np.concatenate(halves)
 
 
@@ -106,28 +109,25 @@ def _draw_edges(
     return image
 
 
-def radar_calibration_picture(job: RadarJob) -> UInt8[np.ndarray, "height width 3"]:
-    """The middle frame's radar power (blue) under the LiDAR's points, from above; before left, after right."""
-    middle = len(job.moments) // 2
-    halves = [
-        _draw_from_above(job, middle, pose, ink) for pose, ink in ((job.before, _BEFORE), (job.found.pose, _AFTER))
-    ]
+FromAbove = tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "h w"]]
+"""The LiDAR's points in the radar's frame, shape (n, 2), and the radar's power over what is usual, in dB, in cells of
+0.4 m from x = 0 and centred on y = 0, x along the first axis."""
+
+
+def radar_calibration_picture(before: FromAbove, after: FromAbove) -> UInt8[np.ndarray, "rows columns 3"]:
+    """A frame's radar power (blue) under the LiDAR's points, from above; before left, after right."""
+    halves = [_draw_from_above(*view, ink) for view, ink in ((before, _BEFORE), (after, _AFTER))]
     return np.concatenate([halves[0], np.full((len(halves[0]), 8, 3), 255, np.uint8), halves[1]], axis=1)
 
 
 def _draw_from_above(
-    job: RadarJob, index: int, pose: RadarPose, ink: tuple[int, int, int]
-) -> UInt8[np.ndarray, "height width 3"]:
-    lidar = job.moments[index]
-    radar = next((moment for moment in job.moments if moment.number == lidar.number + pose.frames), lidar)
-    power = np.clip(birds_eye_map(radar.echoes_m, radar.power_db) / 25.0, 0.0, 1.0)
-    cos, sin = np.cos(pose.yaw_rad), np.sin(pose.yaw_rad)
-    x, y = lidar.points_m[:, 0], lidar.points_m[:, 1]
-    at = np.column_stack([cos * x - sin * y + pose.x_m, sin * x + cos * y + pose.y_m])
+    points_m: Float[np.ndarray, "n 2"], power_db: Float[np.ndarray, "h w"], ink: tuple[int, int, int]
+) -> UInt8[np.ndarray, "rows columns 3"]:
+    power = np.clip(power_db / 25.0, 0.0, 1.0)
     image = np.zeros((*(_SCALE * np.array(power.shape)), 3), dtype=np.uint8)
     image[..., 2] = np.kron(255 * power, np.ones((_SCALE, _SCALE))).astype(np.uint8)
     image[..., 1] = image[..., 2] // 2
-    cell = np.floor(at * _SCALE / 0.4).astype(int) + np.array([0, image.shape[1] // 2])
+    cell = np.floor(points_m * _SCALE / 0.4).astype(int) + np.array([0, image.shape[1] // 2])
     inside = ((cell >= 0) & (cell < image.shape[:2])).all(axis=1)
     image[cell[inside, 0], cell[inside, 1]] = ink
     return image[::-1, ::-1].copy()  # ahead is up, left is left

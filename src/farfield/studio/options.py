@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from farfield.calibration.from_nothing import InitialGuess
+    from farfield.calibration.initial_guess import InitialGuess
     from farfield.datasets.base import Dataset
 
 

@@ -13,7 +13,7 @@ from _studio_screen import Screen, screen
 from studio.live import studio
 from studio.posts import CAMERA, PLANTED, RADAR, plant_radar, write_kitti, write_kradar
 
-from farfield.calibration.edges import camera_difference
+from farfield.calibration.camera_edges import camera_difference
 from farfield.datasets import open_dataset
 from farfield.geometry.poses import invert
 from farfield.studio.options import CalibrationSettings

@@ -12,7 +12,7 @@ pytest.importorskip("cv2")
 from studio.live import Client, Live, studio
 from studio.posts import CAMERA, PLANTED, write_kitti
 
-from farfield.calibration.edges import camera_difference
+from farfield.calibration.camera_edges import camera_difference
 from farfield.datasets import open_dataset
 from farfield.datasets.calibration import read_calibration
 from farfield.errors import ConfigError

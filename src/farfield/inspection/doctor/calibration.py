@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from farfield.calibration.checking import CalibrationCheck, check_camera
-from farfield.calibration.edges import EdgeViews, edge_views
+from farfield.calibration.camera_edges import EdgeViews, edge_views
+from farfield.calibration.checking import ASKED_M, ASKED_RAD, CalibrationCheck, check_camera, check_radar
+from farfield.calibration.depth_edges import sweep_edges
 from farfield.calibration.jobs import KRADAR_NODE_M, choose_frames
-from farfield.calibration.moments import read_sensor_pairs
-from farfield.calibration.radar_checking import ASKED_M, ASKED_RAD, check_radar
+from farfield.calibration.radar_features import read_sensor_pairs
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
-from farfield.calibration.sweeps import sweep_edges
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar import KRadar
 from farfield.errors import DatasetError, FarfieldError
@@ -115,7 +114,5 @@ def radar_evidence(data: Dataset, indices: Iterable[int]) -> tuple[RadarPose, Ra
     sensor = data[numbers[0]].sensors.get("radar")
     if sensor is None or sensor.frame_T_sensor is None:
         raise DatasetError("radar: expected its pose, found none")
-    pose = invert(sensor.frame_T_sensor)
-    x, y, z = (float(value) for value in pose[:3, 3])
-    pose_given = RadarPose(x_m=x, y_m=y, z_m=z, yaw_rad=float(np.arctan2(pose[1, 0], pose[0, 0])))
-    return pose_given, RadarEvidence.of(read_sensor_pairs((data[index] for index in numbers), node_m=KRADAR_NODE_M))
+    pose = RadarPose.from_matrix(invert(sensor.frame_T_sensor))
+    return pose, RadarEvidence.of(read_sensor_pairs((data[index] for index in numbers), node_m=KRADAR_NODE_M))

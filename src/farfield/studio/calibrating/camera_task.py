@@ -7,25 +7,22 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.depth_jumps import LidarEdges
-from farfield.calibration.edge_residuals import edge_residuals
-from farfield.calibration.edges import (
+from farfield.calibration.camera_edges import (
     PARAMETERS,
     EdgeViews,
     align_edges,
     camera_difference,
+    edge_residuals,
     edge_score,
     edge_uncertainty,
     edge_views,
     select_edges,
 )
-from farfield.calibration.from_nothing import spread_notes
-from farfield.calibration.jobs import choose_frames, distance_note, information_distances, read_pairs, skew_note
-from farfield.calibration.pairs import calibrate_pairs
-from farfield.calibration.places import camera_files, holds_intrinsics, save_camera_where_read
-from farfield.calibration.problems import Progress
-from farfield.calibration.saving import save_camera
-from farfield.calibration.sweeps import sweep_edges
+from farfield.calibration.camera_pairs import calibrate_pairs, read_pairs, spread_notes
+from farfield.calibration.depth_edges import LidarEdges, sweep_edges
+from farfield.calibration.jobs import choose_frames, distance_note, information_distances, skew_note
+from farfield.calibration.least_squares import Progress
+from farfield.calibration.saving import camera_files, holds_intrinsics, save_camera, save_camera_where_read
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.geometry.cameras import Camera
@@ -66,13 +63,13 @@ class CameraTask:
         self.data, self._pairs = data, settings.pairs
         indices = choose_frames(data, settings.sequence, settings.frames, runs=False)
         beginning = settings.beginning
-        self.sensor = _named(data, indices, settings.camera, guessed=beginning is not None and beginning.given)
+        self.sensor = _named(data, indices, settings.camera, guessed=beginning is not None and not beginning.empty)
         self.indices = [index for index in indices if self.sensor in data[index].images]
         first = data[self.indices[0]]
         self.stored = first.cameras.get(self.sensor)
         shape = first.images[self.sensor].shape
         begin = self.stored
-        if beginning is not None and beginning.given:
+        if beginning is not None and not beginning.empty:
             begin = beginning.camera(self.sensor, shape, self.stored)
         if begin is None:
             raise ConfigError(f"{self.sensor} has no calibration: give --guess-focal PIXELS, or --intrinsics FILE")
@@ -165,7 +162,7 @@ class CameraTask:
             raise ConfigError(f"calib.solve: a camera is solved by pairs or edges, got {how}")
         before = self._camera(now.values)
         views = self._seen(before)
-        after = align_edges(before, views, told=progress)
+        after = align_edges(before, views, progress=progress)
         _, notes = edge_uncertainty(after, views)
         distances = information_distances((before, after), self.data, self.indices, self.sensor, self.lidar)
         all_notes = (*notes, *skew_note(self._skewed, len(self.indices)), *distance_note(distances))

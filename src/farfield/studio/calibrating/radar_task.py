@@ -6,14 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from farfield.calibration.jobs import KRADAR_NODE_M, choose_frames, radar_start
-from farfield.calibration.moments import SensorPair, read_sensor_pairs
-from farfield.calibration.places import save_radar_where_read
-from farfield.calibration.problems import Progress, Solution
-from farfield.calibration.radar_appraising import appraise_radar, frame_matches
-from farfield.calibration.radar_lidar import RadarCalibration, calibrate_radar
-from farfield.calibration.radar_matching import RadarEvidence, RadarPose, polar_residuals
-from farfield.calibration.radar_pairs import PARAMETERS, MatchedObjects
-from farfield.calibration.saving import save_radar
+from farfield.calibration.least_squares import Progress, Solution
+from farfield.calibration.radar_features import SensorPair, read_sensor_pairs
+from farfield.calibration.radar_lidar import RadarCalibration, appraise_radar, calibrate_radar, frame_matches
+from farfield.calibration.radar_matching import PARAMETERS, MatchedObjects, RadarEvidence, RadarPose, polar_residuals
+from farfield.calibration.saving import save_radar, save_radar_where_read
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.radar_pose import RADAR_FILE, SIDE_FILE
 from farfield.errors import ConfigError, DatasetError
@@ -85,16 +82,16 @@ class RadarTask:
 
     def prepare(self, progress: Progress) -> None:
         """Read the frames and find the objects that both sensors see."""
-        moments: list[SensorPair] = []
+        sensor_pairs: list[SensorPair] = []
         for number, index in enumerate(self.indices):
             progress(_READ * number / len(self.indices))
-            moment = read_sensor_pairs([self.data[index]], lidar=self.lidar, node_m=KRADAR_NODE_M)[0]
+            pair = read_sensor_pairs([self.data[index]], lidar=self.lidar, node_m=KRADAR_NODE_M)[0]
             numbered = self.lidar in self.data[index].indices
-            moments.append(moment if numbered else replace(moment, number=number))
+            sensor_pairs.append(pair if numbered else replace(pair, number=number))
         progress(_READ)
-        self.evidence = RadarEvidence.of(moments)
-        rows = zip(self.frames, moments, strict=True)
-        self.frames = tuple(replace(frame, number=moment.number) for frame, moment in rows)
+        self.evidence = RadarEvidence.of(sensor_pairs)
+        rows = zip(self.frames, sensor_pairs, strict=True)
+        self.frames = tuple(replace(frame, number=pair.number) for frame, pair in rows)
         members = [i for i, name in enumerate(self.data.sequences) if name == self.data.sequences[self.indices[0]]]
         index_of = {self.data[index].indices.get(self.lidar): index for index in members}
         index_of |= {frame.number: frame.index for frame in self.frames}
@@ -136,7 +133,7 @@ class RadarTask:
         del focal
         if how != "objects":
             raise ConfigError(f"calib.solve: a radar is solved by objects, got {how}")
-        calibration = calibrate_radar(self._require_evidence(), _pose(now.values), told=progress)
+        calibration = calibrate_radar(self._require_evidence(), _pose(now.values), progress=progress)
         offsets = {calibration.pose.frames: 0.0} | calibration.rivals
         matches = int(calibration.residual["matches"])
         return CalibrationSolution(

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from farfield.calibration.edges import camera_difference, move_camera
-from farfield.calibration.problems import Parameter, Progress
+from farfield.calibration.camera_edges import camera_difference, move_camera
+from farfield.calibration.least_squares import Parameter, Progress
 from farfield.calibration.radar_matching import RadarPose
 from farfield.datasets.base import Dataset
 from farfield.geometry.cameras import Camera

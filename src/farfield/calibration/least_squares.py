@@ -1,4 +1,14 @@
-"""A calibration as whitened residuals: robust least squares, sigma from blocks of frames, and what is not observed."""
+"""Robust least squares with covariance, as every calibration here is stated, and what the data leave unobserved.
+
+Residuals r_i(x), whitened (divided by their sigma) and of d components each, and a prior N(x_0k, s_k^2) of each of the
+k unknowns give::
+
+    minimise  sum_i share_i rho(|r_i(x)|)  +  sum_k ((x_k - x_0k) / s_k)^2
+
+with Huber's rho (linear from 1.345 sigma on), by iteratively reweighted least squares: Gauss-Newton steps under the
+weights ``share_i min(1, 1.345 / |r_i|)``, in steps of each unknown's ``scale``. The covariance is the cluster-robust
+one (Liang and Zeger, Biometrika 1986, eq. 7). :func:`solve` is the algorithm; :func:`appraise` its last step alone.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,15 +17,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from farfield.errors import ConfigError
+from farfield.geometry.poses import pose
 
 _HUBER = 1.345
-_ROUNDS, _STILL = 20, 1e-3  # of the reweighting; steps of ``scale``
+_ROUNDS, _CONVERGED = 20, 1e-3  # of the reweighting; steps of ``scale``
 _NAMED = 0.35  # share of a direction from which a parameter is named
 _UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0), "px": ("px", 1.0), "": ("", 1.0)}
+
+ResidualFunction = Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]]
+"""From values, shape (k,), to n residuals of d components, divided by their sigma."""
 Progress = Callable[[float], None]
-"""Is told the share of a solver's work that is done, 0 to 1; it may raise to end the work."""
+"""Is called with the share of a solver's work that is finished, 0 to 1; it may raise to end the work."""
 
 
 def no_progress(share: float) -> None:
@@ -41,7 +56,7 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Solution:
-    """What was found.
+    """Values with their covariance, and what the data leave unobserved.
 
     Args:
         parameters: The k unknowns.
@@ -79,7 +94,7 @@ class Solution:
 
 
 def solve(
-    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
+    residuals: ResidualFunction,
     start: Float[np.ndarray, " k"],
     parameters: Sequence[Parameter],
     *,
@@ -91,13 +106,13 @@ def solve(
 ) -> Solution:
     """Minimise robustly; iteratively reweighted so that a residual of several components is one observation.
 
-    The sigma is the cluster-robust one (Liang and Zeger, Biometrika 1986, eq. 7: the analytic form of a bootstrap over
-    blocks of frames), because residuals within a frame are not independent; the plain one where that is larger. A
-    direction is not observed where one over the root of its information, the prior left out, exceeds the prior's sigma.
+    The sigma is the analytic form of a bootstrap over blocks of frames, because residuals within a frame are not
+    independent; the plain one where that is larger. A direction is not observed where one over the root of its
+    information, the prior left out, exceeds the prior's sigma.
 
     Args:
         residuals: From values, shape (k,), to n residuals of d components, divided by their sigma.
-        start: The priors' means, and values to begin with unless ``begin`` is given.
+        start: The priors' means, and values to begin with unless ``begin`` is given, shape (k,).
         parameters: What each value is.
         group: Block of frames of each residual, shape (n,); each its own unless given.
         share: For how many observations each residual counts, shape (n,): less than one where several err alike.
@@ -108,30 +123,37 @@ def solve(
     Raises:
         ConfigError: If there are no residuals, or they are not finite at the start.
     """
+    # 1. Residuals at the start, and unknowns x counted from there in steps of their scale.
     start = np.asarray(start, dtype=np.float64)
-    scale = np.array([each.scale for each in parameters])
-    prior = np.array([each.prior_sigma for each in parameters]) / scale
-    first = residuals(start)
-    if not first.size or not np.isfinite(first).all():
+    scale, prior = _scales(parameters)
+    before = residuals(start)
+    if not before.size or not np.isfinite(before).all():
         raise ConfigError("calibration: expected finite residuals at the start, got none; give a nearer start")
-    own = np.ones(len(first)) if share is None else share
-    total = _ScaledProblem(residuals, start, scale, prior)
+    counts = np.ones(len(before)) if share is None else share
+    problem = _ScaledProblem(residuals, start, scale, prior)
     x = np.zeros(len(start)) if begin is None else (np.asarray(begin, dtype=np.float64) - start) / scale
-    weight, converged = own * _weights(residuals(start + x * scale), huber), False
+
+    # 2. Huber's weights of the residuals.
+    weight, converged = counts * _huber_weights(residuals(start + x * scale), huber), False
     for _ in range(_ROUNDS):
-        found, done = total.stepped(x, weight, steps)
-        moved, x = float(np.abs(found - x).max()), found
-        weight = own * _weights(residuals(start + x * scale), huber)
-        converged = done and moved < _STILL
+        # 3. A step under these weights.
+        stepped, finished = problem.step(x, weight, steps)
+        change, x = float(np.abs(stepped - x).max()), stepped
+
+        # 4. New weights, until the steps are small.
+        weight = counts * _huber_weights(residuals(start + x * scale), huber)
+        converged = finished and change < _CONVERGED
         if converged:
             break
+
+    # 5. Covariance, and directions that are not observed.
     value = start + x * scale
     solution = appraise(residuals, value, parameters, group=group, share=share, huber=huber, weight=weight)
-    return replace(solution, before=np.linalg.norm(first, axis=1), converged=converged)
+    return replace(solution, before=np.linalg.norm(before, axis=1), converged=converged)
 
 
 def appraise(
-    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
+    residuals: ResidualFunction,
     value: Float[np.ndarray, " k"],
     parameters: Sequence[Parameter],
     *,
@@ -154,24 +176,24 @@ def appraise(
     Raises:
         ConfigError: If there are no residuals, or they are not finite.
     """
-    last = residuals(value)
-    if not last.size or not np.isfinite(last).all():
+    rows = residuals(value)
+    if not rows.size or not np.isfinite(rows).all():
         raise ConfigError("calibration: expected finite residuals, got none")
-    own = np.ones(len(last)) if share is None else share
-    weight = own * _weights(last, huber) if weight is None else weight
-    scale = np.array([each.scale for each in parameters])
-    prior = np.array([each.prior_sigma for each in parameters]) / scale
+    counts = np.ones(len(rows)) if share is None else share
+    weight = counts * _huber_weights(rows, huber) if weight is None else weight
+    scale, prior = _scales(parameters)
     jacobian = _jacobian(residuals, value, scale)
-    numbers = np.arange(len(last)) if group is None else group
-    spare = max(float(own.sum()) * last.shape[1] - len(prior), 1.0)
-    factor = max(float((weight[:, None] * last**2).sum()) / spare, 1e-12)
-    covariance, unobserved, information = _spread(jacobian, last, weight, prior, numbers, parameters, factor)
-    length = np.linalg.norm(last, axis=1)
+    block = np.arange(len(rows)) if group is None else group
+    freedom = max(float(counts.sum()) * rows.shape[1] - len(prior), 1.0)
+    chi2 = max(float((weight[:, None] * rows**2).sum()) / freedom, 1e-12)  # a degree of freedom
+    covariance, fisher = _robust_covariance(jacobian, rows, weight, prior, block, chi2)
+    sentences, information = unobserved_directions(fisher / chi2, parameters)
+    length = np.linalg.norm(rows, axis=1)
     return Solution(
         parameters=tuple(parameters),
         value=value,
         covariance=covariance * np.outer(scale, scale),
-        unobserved=unobserved,
+        unobserved=sentences,
         before=length,
         after=length,
         converged=False,
@@ -180,7 +202,7 @@ def appraise(
 
 
 def consider_covariance(
-    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
+    residuals: ResidualFunction,
     value: Float[np.ndarray, " k"],
     parameters: Sequence[Parameter],
     errors: Float[np.ndarray, "e n d"],
@@ -201,81 +223,14 @@ def consider_covariance(
         share: As of :func:`solve`.
         huber: As of :func:`solve`.
     """
-    last = residuals(value)
-    own = np.ones(len(last)) if share is None else share
-    scale = np.array([each.scale for each in parameters])
-    prior = np.array([each.prior_sigma for each in parameters]) / scale
-    jacobian, weight = _jacobian(residuals, value, scale), own * _weights(last, huber)
+    rows = residuals(value)
+    counts = np.ones(len(rows)) if share is None else share
+    scale, prior = _scales(parameters)
+    jacobian = _jacobian(residuals, value, scale)
+    weight = counts * _huber_weights(rows, huber)
     fisher = np.einsum("n,ndi,ndj->ij", weight, jacobian, jacobian) + np.diag(1.0 / prior**2)
-    moved = np.linalg.solve(fisher, np.einsum("n,ndi,end->ie", weight, jacobian, errors)) * scale[:, None]
-    return np.asarray(moved @ moved.T)
-
-
-@dataclass(frozen=True, eq=False)
-class _ScaledProblem:
-    """Residuals and prior in scaled steps from the start."""
-
-    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]]
-    start: Float[np.ndarray, " k"]
-    scale: Float[np.ndarray, " k"]
-    prior: Float[np.ndarray, " k"]
-
-    def weighted(self, x: Float[np.ndarray, " k"], weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-        found = self.residuals(self.start + x * self.scale) * np.sqrt(weight)[:, None]
-        return np.concatenate([found.ravel(), x / self.prior])
-
-    def stepped(
-        self, x: Float[np.ndarray, " k"], weight: Float[np.ndarray, " n"], steps: int
-    ) -> tuple[Float[np.ndarray, " k"], bool]:
-        """A Gauss-Newton step, for the weights change after it anyway; a whole descent where that leads uphill."""
-        here = self.weighted(x, weight)
-        eye = 0.1 * np.eye(len(x))
-        slope = np.stack([(self.weighted(x + e, weight) - self.weighted(x - e, weight)) / 0.2 for e in eye], axis=1)
-        step = -np.linalg.solve(slope.T @ slope, slope.T @ here) if np.isfinite(slope).all() else np.zeros(len(x))
-        there = self.weighted(x + step, weight)
-        if step.any() and float(there @ there) <= float(here @ here) * (1 + 1e-9):
-            return x + step, True
-        done = least_squares(self.weighted, x, args=(weight,), method="trf", max_nfev=steps, x_scale=1.0, xtol=1e-10)
-        return done.x, bool(done.success)
-
-
-def _weights(residuals: Float[np.ndarray, "n d"], huber: float) -> Float[np.ndarray, " n"]:
-    length = np.linalg.norm(residuals, axis=1)
-    return np.minimum(1.0, huber / np.maximum(length, 1e-12))
-
-
-def _jacobian(
-    residuals: Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]],
-    value: Float[np.ndarray, " k"],
-    scale: Float[np.ndarray, " k"],
-) -> Float[np.ndarray, "n d k"]:
-    steps = np.diag(scale) * 0.1
-    return np.stack([(residuals(value + step) - residuals(value - step)) / 0.2 for step in steps], axis=-1)
-
-
-def _spread(
-    jacobian: Float[np.ndarray, "n d k"],
-    last: Float[np.ndarray, "n d"],
-    weight: Float[np.ndarray, " n"],
-    prior: Float[np.ndarray, " k"],
-    group: Int[np.ndarray, " n"],
-    parameters: Sequence[Parameter],
-    factor: float,
-) -> tuple[Float[np.ndarray, "k k"], tuple[str, ...], Float[np.ndarray, " k"]]:
-    """Covariance in scaled steps, what is not observed, and the information's roots; ``factor``: chi^2 a freedom."""
-    fisher = np.einsum("n,ndi,ndj->ij", weight, jacobian, jacobian)
-    inverse = np.linalg.inv(fisher + np.diag(factor / prior**2))
-    plain = factor * inverse
-    _, members = np.unique(group, return_inverse=True)
-    count = int(members.max()) + 1
-    pulls = np.zeros((count, len(prior)))
-    np.add.at(pulls, members, np.einsum("n,ndi,nd->ni", weight, jacobian, last))
-    pulls -= pulls.mean(axis=0)
-    blocks = inverse @ (pulls.T @ pulls * (count / max(count - 1, 1))) @ inverse
-    blocks += inverse @ np.diag(factor**2 / prior**2) @ inverse  # what the prior itself may be off
-    diagonal = np.sqrt(np.maximum(np.diag(blocks), np.diag(plain)) / np.diag(plain))
-    covariance = plain * np.outer(diagonal, diagonal)
-    return covariance, *unobserved_directions(fisher / factor, parameters)
+    sensitivity = np.linalg.solve(fisher, np.einsum("n,ndi,end->ie", weight, jacobian, errors)) * scale[:, None]
+    return np.asarray(sensitivity @ sensitivity.T)
 
 
 def unobserved_directions(
@@ -290,19 +245,97 @@ def unobserved_directions(
     Returns:
         A sentence a direction, and the roots of the eigenvalues, weakest first.
     """
-    prior = np.array([each.prior_sigma / each.scale for each in parameters])
+    prior = np.array([parameter.prior_sigma / parameter.scale for parameter in parameters])
     eigenvalues, vectors = np.linalg.eigh(information)
     roots = np.sqrt(np.maximum(eigenvalues, 0.0))
-    named = [
-        _sentence(vector, parameters)
-        for root, vector in zip(roots, vectors.T, strict=True)
-        if root**2 < float(vector @ (vector / prior**2))
-    ]
-    return tuple(named), roots
+    sentences = []
+    for root, vector in zip(roots, vectors.T, strict=True):
+        if root**2 < float(vector @ (vector / prior**2)):
+            *others, last = [
+                parameter.name for parameter, share in zip(parameters, vector, strict=True) if abs(share) > _NAMED
+            ]
+            sentences.append(
+                f"{', '.join(others)} and {last} cannot be told apart here" if others else f"{last} is not observed"
+            )
+    return tuple(sentences), roots
 
 
-def _sentence(vector: Float[np.ndarray, " k"], parameters: Sequence[Parameter]) -> str:
-    names = [each.name for each, share in zip(parameters, vector, strict=True) if abs(share) > _NAMED]
-    if len(names) == 1:
-        return f"{names[0]} is not observed"
-    return f"{', '.join(names[:-1])} and {names[-1]} cannot be told apart here"
+def rigid_motion(value: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "4 4"]:
+    """The six unknowns of a pose as a motion: a rotation vector in rad, then a shift in metres; shape (4, 4)."""
+    return pose(Rotation.from_rotvec(value[:3]).as_matrix(), value[3:])
+
+
+def motion_vector(motion: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
+    """The inverse of :func:`rigid_motion`: turns in rad, shifts in metres, shape (6,)."""
+    return np.concatenate([Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]])
+
+
+@dataclass(frozen=True, eq=False)
+class _ScaledProblem:
+    """Residuals and prior in scaled steps from the start."""
+
+    residuals: ResidualFunction
+    start: Float[np.ndarray, " k"]
+    scale: Float[np.ndarray, " k"]
+    prior: Float[np.ndarray, " k"]
+
+    def weighted(self, x: Float[np.ndarray, " k"], weight: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+        """Residuals times the roots of their weights, and the prior's."""
+        rows = self.residuals(self.start + x * self.scale) * np.sqrt(weight)[:, None]
+        return np.concatenate([rows.ravel(), x / self.prior])
+
+    def step(
+        self, x: Float[np.ndarray, " k"], weight: Float[np.ndarray, " n"], steps: int
+    ) -> tuple[Float[np.ndarray, " k"], bool]:
+        """A Gauss-Newton step, for the weights change after it anyway; a full descent where that leads uphill."""
+        here = self.weighted(x, weight)
+        eye = 0.1 * np.eye(len(x))
+        slope = np.stack([(self.weighted(x + e, weight) - self.weighted(x - e, weight)) / 0.2 for e in eye], axis=1)
+        step = -np.linalg.solve(slope.T @ slope, slope.T @ here) if np.isfinite(slope).all() else np.zeros(len(x))
+        there = self.weighted(x + step, weight)
+        if step.any() and float(there @ there) <= float(here @ here) * (1 + 1e-9):
+            return x + step, True
+        descent = least_squares(self.weighted, x, args=(weight,), method="trf", max_nfev=steps, x_scale=1.0, xtol=1e-10)
+        return descent.x, bool(descent.success)
+
+
+def _scales(parameters: Sequence[Parameter]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Scales, and the priors' sigmas in their steps."""
+    scale = np.array([parameter.scale for parameter in parameters])
+    return scale, np.array([parameter.prior_sigma for parameter in parameters]) / scale
+
+
+def _huber_weights(residuals: Float[np.ndarray, "n d"], huber: float) -> Float[np.ndarray, " n"]:
+    length = np.linalg.norm(residuals, axis=1)
+    return np.minimum(1.0, huber / np.maximum(length, 1e-12))
+
+
+def _jacobian(
+    residuals: ResidualFunction, value: Float[np.ndarray, " k"], scale: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "n d k"]:
+    """Central differences, a step of ``scale``."""
+    steps = np.diag(scale) * 0.1
+    return np.stack([(residuals(value + step) - residuals(value - step)) / 0.2 for step in steps], axis=-1)
+
+
+def _robust_covariance(
+    jacobian: Float[np.ndarray, "n d k"],
+    residuals: Float[np.ndarray, "n d"],
+    weight: Float[np.ndarray, " n"],
+    prior: Float[np.ndarray, " k"],
+    group: Int[np.ndarray, " n"],
+    chi2: float,
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k"]]:
+    """Covariance in scaled steps, and the data's information matrix; ``chi2``: of a degree of freedom."""
+    fisher = np.einsum("n,ndi,ndj->ij", weight, jacobian, jacobian)
+    inverse = np.linalg.inv(fisher + np.diag(chi2 / prior**2))
+    plain = chi2 * inverse
+    _, members = np.unique(group, return_inverse=True)
+    count = int(members.max()) + 1
+    gradients = np.zeros((count, len(prior)))
+    np.add.at(gradients, members, np.einsum("n,ndi,nd->ni", weight, jacobian, residuals))
+    gradients -= gradients.mean(axis=0)
+    clustered = inverse @ (gradients.T @ gradients * (count / max(count - 1, 1))) @ inverse
+    clustered += inverse @ np.diag(chi2**2 / prior**2) @ inverse  # what the prior itself may be off
+    factor = np.sqrt(np.maximum(np.diag(clustered), np.diag(plain)) / np.diag(plain))
+    return plain * np.outer(factor, factor), fisher

@@ -1,25 +1,31 @@
-"""LiDAR to LiDAR: point-to-plane registration (Chen and Medioni, 1992) of the sweeps of two sensors of one car."""
+"""LiDAR to LiDAR: point-to-plane registration (Chen and Medioni, 1992) of the sweeps of two sensors of one car.
+
+Sought is the motion delta of ``target_T_source`` for which the distances ``n_i . (exp(delta) p_i - q_i) / 3 cm`` of the
+second LiDAR's points p_i from the planes through q_i with normals n_i of the first one's sweeps are least, robustly,
+with pairs taken anew in each round. :func:`register` is the algorithm.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
-from farfield.calibration.problems import Parameter, Solution, solve
+from farfield.calibration.least_squares import Parameter, Solution, rigid_motion, solve
 from farfield.errors import DatasetError
-from farfield.geometry.poses import pose, transform_points
+from farfield.geometry.poses import transform_points
 
 _VOXEL_M = 0.25
 _NEIGHBOURS = 10
 _GATES_M = (2.0, 1.0, 0.5, 0.3, 0.3, 0.3, 0.3, 0.3)
 _SIGMA_M = 0.03
 _LEAST_POINTS = 200
+_AT_REST_M = 1e-4
 _PLANAR = 0.05  # of the variance of a neighbourhood across its plane
 _NEAR_M = 50.0
+_MOST_PAIRS = 6000  # of a frame, about
 
 PARAMETERS = (
     *(
@@ -32,7 +38,7 @@ PARAMETERS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Registration:
-    """What was found.
+    """The pose of one LiDAR in another's frame.
 
     Args:
         target_T_source: Maps points of the second LiDAR to the first's frame, shape (4, 4).
@@ -65,13 +71,16 @@ def register(
     Raises:
         DatasetError: If fewer than 200 points have a plane nearby.
     """
+    # 1. Voxelise; planes of the first LiDAR's sweeps.
     planes = [_planes(points) for points in targets]
-    thin = [_thinned(points) for points in sources]
-    found = np.eye(4) if start is None else start.copy()
+    thin = [_voxelise(points) for points in sources]
+    target_T_source = np.eye(4) if start is None else start.copy()
     solution, pairs = None, 0
     for gate_m in gates_m:
+        # 2. Pairs of points and planes within the gate, in all frames.
         rows = [
-            _pairs(plane, source, found, gate_m, i) for i, (plane, source) in enumerate(zip(planes, thin, strict=True))
+            _pairs(plane, source, target_T_source, gate_m, number)
+            for number, (plane, source) in enumerate(zip(planes, thin, strict=True))
         ]
         point, foot, normal, frame = (np.concatenate(column) for column in zip(*rows, strict=True))
         if (pairs := len(point)) < _LEAST_POINTS:
@@ -79,36 +88,36 @@ def register(
                 f"registration: expected {_LEAST_POINTS} points within {gate_m:g} m of the other LiDAR's planes, got "
                 f"{pairs}. Give a nearer start."
             )
-        residuals = partial(_distances, points_m=point, feet_m=foot, normals=normal)
+
+        # 3. Robust least squares of the distances; points of ten degrees of a frame err together.
+        residuals = partial(_plane_distances, points_m=point, feet_m=foot, normals=normal)
         block = frame * 1000 + np.floor(np.degrees(np.arctan2(point[:, 1], point[:, 0])) / 10).astype(int)
         solution = solve(residuals, np.zeros(6), PARAMETERS, group=block, steps=4)
-        found = _step(solution.value) @ found
-        if gate_m == gates_m[-1] and float(np.abs(solution.value[3:]).max()) < 1e-4:
+        target_T_source = rigid_motion(solution.value) @ target_T_source
+
+        # 4. Again with a narrower gate, until the pose rests.
+        if gate_m == gates_m[-1] and float(np.abs(solution.value[3:]).max()) < _AT_REST_M:
             break
     assert solution is not None
     rms = float(np.sqrt(np.mean((solution.after * _SIGMA_M) ** 2)))
-    return Registration(target_T_source=found, solution=replace(solution), rms_m=rms, pairs=pairs)
+    return Registration(target_T_source=target_T_source, solution=solution, rms_m=rms, pairs=pairs)
 
 
-def _step(value: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "4 4"]:
-    return pose(Rotation.from_rotvec(value[:3]).as_matrix(), value[3:])
-
-
-def _distances(
+def _plane_distances(
     value: Float[np.ndarray, " 6"],
     points_m: Float[np.ndarray, "n 3"],
     feet_m: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 1"]:
-    away = transform_points(_step(value), points_m) - feet_m
+    away = transform_points(rigid_motion(value), points_m) - feet_m
     return np.einsum("ij,ij->i", away, normals)[:, None] / _SIGMA_M
 
 
-def _thinned(points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+def _voxelise(points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     """One point of each voxel: the first, so that it lies on the surface."""
     points = points_m.astype(np.float64)
-    reach = np.linalg.norm(points, axis=1)
-    points = points[(reach > 2.0) & (reach < _NEAR_M)]
+    range_m = np.linalg.norm(points, axis=1)
+    points = points[(range_m > 2.0) & (range_m < _NEAR_M)]
     _, first = np.unique(np.floor(points / _VOXEL_M).astype(np.int64), axis=0, return_index=True)
     return points[np.sort(first)]
 
@@ -124,23 +133,30 @@ class _Planes:
 
 def _planes(points_m: Float[np.ndarray, "n 3"]) -> _Planes:
     """Planes through ten neighbours, where those are flat and not on one line (one ring)."""
-    points = _thinned(points_m)
+    points = _voxelise(points_m)
     if len(points) <= _NEIGHBOURS:
         return _Planes(tree=cKDTree(np.zeros((1, 3)) + 1e9), points_m=np.zeros((1, 3)), normals=np.zeros((1, 3)))
     _, near = cKDTree(points).query(points, k=_NEIGHBOURS)
     near = np.asarray(near)
     around = points[near] - points[near].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / _NEIGHBOURS)
-    flat = (values[:, 0] < _PLANAR * values[:, 1]) & (values[:, 1] > 0.05 * values[:, 2])
-    return _Planes(tree=cKDTree(points[flat]), points_m=points[near].mean(axis=1)[flat], normals=vectors[flat, :, 0])
+    planar = (values[:, 0] < _PLANAR * values[:, 1]) & (values[:, 1] > 0.05 * values[:, 2])
+    return _Planes(
+        tree=cKDTree(points[planar]), points_m=points[near].mean(axis=1)[planar], normals=vectors[planar, :, 0]
+    )
 
 
 def _pairs(
-    planes: _Planes, source_m: Float[np.ndarray, "n 3"], found: Float[np.ndarray, "4 4"], gate_m: float, number: int
+    planes: _Planes,
+    source_m: Float[np.ndarray, "n 3"],
+    target_T_source: Float[np.ndarray, "4 4"],
+    gate_m: float,
+    number: int,
 ) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"], Int[np.ndarray, " m"]]:
-    at = transform_points(found, source_m)
-    distance, partner = planes.tree.query(at, distance_upper_bound=gate_m)
-    partner, kept = np.asarray(partner), np.flatnonzero(np.isfinite(distance))
-    kept = kept[:: max(len(kept) // 6000, 1)]
-    plane = partner[kept]
-    return at[kept], planes.points_m[plane], planes.normals[plane], np.full(len(kept), number)
+    """Points in the target's frame, feet and normals of their planes, and the frame's number; 6,000 or a few more."""
+    points_m = transform_points(target_T_source, source_m)
+    distance, partner = planes.tree.query(points_m, distance_upper_bound=gate_m)
+    rows = np.flatnonzero(np.isfinite(distance))
+    rows = rows[:: max(len(rows) // _MOST_PAIRS, 1)]
+    plane = np.asarray(partner)[rows]
+    return points_m[rows], planes.points_m[plane], planes.normals[plane], np.full(len(rows), number)
