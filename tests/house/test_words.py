@@ -16,8 +16,6 @@ EMPTY_WORDS = {"found", "kept", "seen", "known", "told", "given", "each", "place
 """Participles and fillers that name no variable and no argument."""
 
 MOST = {
-||||||| base
-    "adaptation": 42,
     "cli": 80,
     "datasets": 4,
     "depth": 17,
