@@ -103,12 +103,13 @@ def logits_of(judge: nn.Module, features: Features, cells: Cells, strength: floa
         cells: Where.
         strength: lambda; 0 leaves the features without a gradient.
     """
+    dtype = next(judge.parameters()).dtype
     if isinstance(judge, RowDiscriminator):
-        logits: Tensor = judge(reverse(values_at(features, cells), strength).to(judge[0].weight.dtype))
+        logits: Tensor = judge(reverse(values_at(features, cells), strength).to(dtype))
         return logits.squeeze(1).float()
     assert isinstance(features, FeatureMap)
     assert not isinstance(features.values, SparseTensor)
-    image = judge(reverse(features.values, strength).to(judge[0].weight.dtype))
+    image = judge(reverse(features.values, strength).to(dtype))
     return image.reshape(-1)[cells.row].float()  # one channel: (b, 1, nx, ny) lies as (frame * nx + ix) * ny + iy
 
 

@@ -2,23 +2,21 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from pydantic import Field
-from torch import Tensor, distributed, nn
+from torch import Tensor, distributed
 
-from farfield.adaptation.cells import Cells
+from farfield.adaptation.cells import Cells, occupied, z_range_m
 from farfield.adaptation.probes import gradient_norms, gradient_ratio, held_figures, total
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import process_count, sum_over_processes
 from farfield.detectors.network import Network
-from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
-from farfield.training.method import DETECTOR, Batch, Method
+from farfield.training.method import Batch, Method, network_of
 
 HELD_OUT: Any = Field(
     0,
@@ -57,10 +55,19 @@ class Adaptation(Method):
         key = (_DRAWS, step) if shared else (_DRAWS, step, rank)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
-    def reader(self, stream: str) -> nn.Module:
+    @property
+    def network(self) -> Network:
+        """The detector's network, which is exported."""
+        return network_of(self.modules)
+
+    def reader(self, stream: str) -> Network:
         """The network that reads a stream's held-out frames."""
         del stream
-        return self.modules[DETECTOR]
+        return self.network
+
+    def occupied(self, features: Features, inputs: Inputs) -> Cells:
+        """The cells of frames that hold points within the heights that the detector looks at."""
+        return occupied(features, inputs, z_range_m(self.network.config))
 
     def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
         """Cells of a held-out frame that count, and their domain, 0 or 1; none unless a method says which.
@@ -116,6 +123,11 @@ class Adaptation(Method):
         return figures
 
 
+def weighted_losses(losses: Mapping[str, Tensor], prefix: str, weight: float) -> dict[str, Tensor]:
+    """Losses times a weight, their names behind a prefix."""
+    return {f"{prefix}_{name}": weight * loss for name, loss in losses.items()}
+
+
 @torch.no_grad()
 def common_variance(rows: Tensor) -> Tensor:
     """Mean over the channels of the variance over the rows of all processes, shape (n, c), a scalar, at least 1e-6."""
@@ -141,31 +153,3 @@ def effective_rank(rows: Tensor) -> float:
     power = torch.linalg.svdvals(centred).double().square()
     share = power / power.sum().clamp(min=1e-30)
     return float(torch.special.entr(share).sum().exp()) if bool(power.sum() > 0) else 0.0
-
-
-def start_from(network: Network, weights: Path | str, method: str) -> None:
-    """Give a network the weights of a trained detector.
-
-    Args:
-        network: The network, changed in place.
-        weights: A bundled detector's name, a run's folder or a weights file.
-        method: Name of the method, for messages.
-
-    Raises:
-        ConfigError: If they are those of a network of another shape.
-        FarfieldError: If there are none.
-    """
-    trained, _ = load_weights(resolve_weights(weights))
-    own_state, trained_state = network.state_dict(), trained.state_dict()
-    different = sorted(
-        name
-        for name in own_state.keys() | trained_state.keys()
-        if name not in own_state or name not in trained_state or own_state[name].shape != trained_state[name].shape
-    )
-    if different:
-        raise ConfigError(
-            f"method {method}: expected the weights {weights} to be those of the experiment's detector "
-            f"({network.config.name}); {len(different)} tensors differ, first {different[0]}. Copy the detector's "
-            "settings from the run that made them."
-        )
-    network.load_state_dict(trained_state)

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from farfield.adaptation.base import start_from
+from farfield.adaptation.networks import start_from
 from farfield.detectors.network import Network
 from farfield.training.method import MethodSettings, Supervised, settings_of
 

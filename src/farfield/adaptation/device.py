@@ -8,18 +8,26 @@ gradient reaches the trunk reversed. How many target frames are labelled is the 
 from collections.abc import Mapping
 from typing import Literal
 
-import torch
 from pydantic import Field
 from torch import Tensor, nn
 
 from farfield.adaptation.adversarial import Adversarial, AdversarialLoss, discriminator, schedule
-from farfield.adaptation.base import HELD_OUT, Adaptation, start_from
-from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
-from farfield.adaptation.networks import with_own_head, with_own_statistics
+from farfield.adaptation.base import HELD_OUT, Adaptation, weighted_losses
+from farfield.adaptation.cells import Cells, shown
+from farfield.adaptation.networks import start_from, with_own_head, with_own_statistics
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.network import Network
-from farfield.training.method import DETECTOR, Batch, MethodSettings, ParamGroup, Stream, settings_of
+from farfield.training.method import (
+    DETECTOR,
+    Batch,
+    MethodSettings,
+    ParamGroup,
+    Stream,
+    detection_losses,
+    network_of,
+    settings_of,
+)
 
 _SOURCE, _TARGET, _REST = "source", "target", "rest"
 
@@ -84,16 +92,18 @@ class DeviceAdaptation(Adaptation):
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The losses of both heads, and the discriminator's."""
         source, target = self._features(batch)
-        losses = self._of_head(self.modules[DETECTOR], target, batch[_TARGET], "target", 1.0)
-        losses |= self._of_head(self.modules[_SOURCE], source, batch[_SOURCE], "source", self.settings.source_weight)
+        losses = self._of_head(self.network, target, batch[_TARGET], "target", 1.0)
+        losses |= self._of_head(
+            network_of(self.modules, _SOURCE), source, batch[_SOURCE], "source", self.settings.source_weight
+        )
         if self.settings.adversarial is not None:
             losses["device"] = self._adversarial(batch, source, target, step)
         self.note_gradients(losses, [source, target], step, added=losses.keys() & {"device"})
         return losses
 
-    def reader(self, stream: str) -> nn.Module:
+    def reader(self, stream: str) -> Network:
         """Each domain has its own head, and perhaps statistics."""
-        return self.modules[_SOURCE if stream == _SOURCE else DETECTOR]
+        return network_of(self.modules, _SOURCE if stream == _SOURCE else DETECTOR)
 
     def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
         """The cells of a frame that count; its stream is its domain."""
@@ -105,20 +115,17 @@ class DeviceAdaptation(Adaptation):
         of_target = batch[_TARGET].inputs
         if _REST in batch:
             of_target = of_target + batch[_REST].inputs
-        network, count = self.modules[DETECTOR], len(batch[_SOURCE])
+        network, count = self.network, len(batch[_SOURCE])
         if self.settings.norm == "per_domain":
-            return self.modules[_SOURCE].encode(batch[_SOURCE].inputs), network.encode(of_target)
+            return network_of(self.modules, _SOURCE).encode(batch[_SOURCE].inputs), network.encode(of_target)
         source, target = network.encode(batch[_SOURCE].inputs + of_target).split(count)
         return source, target
 
     @staticmethod
-    def _of_head(network: nn.Module, features: Features, frames: Batch, name: str, weight: float) -> dict[str, Tensor]:
+    def _of_head(network: Network, features: Features, frames: Batch, name: str, weight: float) -> dict[str, Tensor]:
         if len(features) > len(frames):
             features, _ = features.split(len(frames))
-        outputs = network.head(features, frames.targets)
-        with torch.autocast(next(network.parameters()).device.type, enabled=False):
-            losses: dict[str, Tensor] = network.losses(outputs, frames.targets)
-        return {f"{name}_{part}": weight * value for part, value in losses.items()}
+        return weighted_losses(detection_losses(network, features, frames.targets), name, weight)
 
     def _adversarial(self, batch: Mapping[str, Batch], source: Features, target: Features, step: int) -> Tensor:
         """The mean of each device's cells; the features of both are judged one after the other."""
@@ -133,6 +140,6 @@ class DeviceAdaptation(Adaptation):
         return loss
 
     def _cells(self, features: Features, inputs: Inputs) -> Cells:
-        cells = occupied(features, inputs, z_range_m(self.modules[DETECTOR].config))
+        cells = self.occupied(features, inputs)
         range_m = cells.place_m.norm(dim=1)
         return cells[(range_m >= self.settings.min_range_m) & (range_m < self.settings.max_range_m)]

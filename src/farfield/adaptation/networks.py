@@ -1,11 +1,44 @@
-"""A second network that shares weights with a first: what two domains have in common, and what each has of its own."""
+"""The networks of an adaptation: one that starts from weights, and one that shares its weights with a first.
+
+What two domains have in common is shared, and each has a head or batch statistics of its own.
+"""
 
 import copy
+from pathlib import Path
 
 from torch import nn
 
 from farfield.detectors.network import Network
+from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
+
+
+def start_from(network: Network, weights: Path | str, method: str) -> None:
+    """Give a network the weights of a trained detector.
+
+    Args:
+        network: The network, changed in place.
+        weights: A bundled detector's name, a run's folder or a weights file.
+        method: Name of the method, for messages.
+
+    Raises:
+        ConfigError: If they are those of a network of another shape.
+        FarfieldError: If there are none.
+    """
+    trained, _ = load_weights(resolve_weights(weights))
+    own_state, trained_state = network.state_dict(), trained.state_dict()
+    different = sorted(
+        name
+        for name in own_state.keys() | trained_state.keys()
+        if name not in own_state or name not in trained_state or own_state[name].shape != trained_state[name].shape
+    )
+    if different:
+        raise ConfigError(
+            f"method {method}: expected the weights {weights} to be those of the experiment's detector "
+            f"({network.config.name}); {len(different)} tensors differ, first {different[0]}. Copy the detector's "
+            "settings from the run that made them."
+        )
+    network.load_state_dict(trained_state)
 
 
 def with_own_head(network: Network) -> Network:

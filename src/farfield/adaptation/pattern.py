@@ -16,15 +16,25 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.adaptation.adversarial import Adversarial, AdversarialLoss, discriminator, schedule
-from farfield.adaptation.base import HELD_OUT, Adaptation, common_variance, start_from
-from farfield.adaptation.cells import Cells, inside, occupied, shown, values_at, z_range_m
+from farfield.adaptation.base import HELD_OUT, Adaptation, common_variance
+from farfield.adaptation.cells import Cells, inside, shown, values_at
+from farfield.adaptation.networks import start_from
 from farfield.detectors.features import Features, PointFeatures
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import normaliser
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
-from farfield.training.method import DETECTOR, LABELLED, Batch, MethodSettings, ParamGroup, Stream, settings_of
+from farfield.training.method import (
+    DETECTOR,
+    LABELLED,
+    Batch,
+    MethodSettings,
+    ParamGroup,
+    Stream,
+    detection_losses,
+    settings_of,
+)
 
 
 class PairLoss(MethodSettings):
@@ -90,17 +100,15 @@ class PatternAdaptation(Adaptation):
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The network's own losses over both patterns, and the one that is chosen."""
-        network, frames = self.modules[DETECTOR], batch[LABELLED]
+        network, frames = self.network, batch[LABELLED]
         if len(frames) % 2:
             raise ConfigError(
                 f"method pattern: expected two clouds of each frame, such as clouds: [gaussian, uniform], and so an "
                 f"even batch; got {len(frames)}."
             )
         features = network.encode(frames.inputs)
-        outputs = network.head(features, frames.targets)
-        with torch.autocast(next(network.parameters()).device.type, enabled=False):
-            losses: dict[str, Tensor] = network.losses(outputs, frames.targets)
-        cells = occupied(features, frames.inputs, z_range_m(network.config))
+        losses = detection_losses(network, features, frames.targets)
+        cells = self.occupied(features, frames.inputs)
         first = cells.frame % 2 == 0
         self.note(first=shown(features, cells[first]), second=shown(features, cells[~first]))
         now = schedule(self.progress(step))
@@ -117,7 +125,7 @@ class PatternAdaptation(Adaptation):
     def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
         """All occupied cells of a frame; frames of the two clouds take turns."""
         del stream
-        return [(number % 2, occupied(features, inputs, z_range_m(self.modules[DETECTOR].config)))]
+        return [(number % 2, self.occupied(features, inputs))]
 
     def _paired(self, features: Features, cells: Cells, boxes: Sequence[Boxes], now: float) -> Tensor:
         chosen = self.settings.paired

@@ -16,10 +16,11 @@ from farfield.adaptation.cells import Cells, occupied, values_at, z_range_m
 from farfield.detectors.features import Features, PointFeatures
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.losses import sum_over_processes
+from farfield.detectors.network import Network
 from farfield.detectors.runtime import Detector
 from farfield.detectors.sparse.cells import SparseTensor
 from farfield.frame import Frame
-from farfield.training.method import Batch
+from farfield.training.method import Batch, detection_losses
 
 # The same on held-out frames
 
@@ -32,7 +33,7 @@ class ValidationProbe(Protocol):
 
     modules: nn.ModuleDict
 
-    def reader(self, stream: str) -> nn.Module:
+    def reader(self, stream: str) -> Network:
         """The network that reads a stream's frames."""
 
     def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
@@ -97,9 +98,7 @@ def _look(method: ValidationProbe, gathered: ProbeFeatures, stream: str, number:
     network = method.reader(stream)
     features = network.encode(frame.inputs)
     if frame.targets:
-        outputs = network.head(features, frame.targets)
-        with torch.autocast(next(network.parameters()).device.type, enabled=False):
-            loss = total(network.losses(outputs, frame.targets).values())
+        loss = total(detection_losses(network, features, frame.targets).values())
         gathered.losses.setdefault(stream, []).append(float(loss))
     for domain, cells in method.domains(features, frame.inputs, stream, number):
         step = max(1, -(-len(cells) // _ROWS))

@@ -7,7 +7,7 @@ are like it. The paper's text leaves discriminator, weights, descriptor and sche
 """
 
 from collections.abc import Mapping
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -15,23 +15,31 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from farfield.adaptation.adversarial import Adversarial, AdversarialLoss, discriminator, schedule
-from farfield.adaptation.base import HELD_OUT, Adaptation, start_from
+from farfield.adaptation.base import HELD_OUT, Adaptation
 from farfield.adaptation.cells import (
     Cells,
     background_weight,
     inside,
     match_density,
-    occupied,
     shown,
-    z_range_m,
 )
+from farfield.adaptation.networks import start_from
 from farfield.adaptation.objects import Memory, ObjectFeatures, effective_number, objects_of, similarity
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import normaliser, sum_over_processes
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError
-from farfield.training.method import DETECTOR, LABELLED, Batch, MethodSettings, ParamGroup, Stream, settings_of
+from farfield.training.method import (
+    DETECTOR,
+    LABELLED,
+    Batch,
+    MethodSettings,
+    ParamGroup,
+    Stream,
+    detection_losses,
+    settings_of,
+)
 
 _LEAST_ENTRIES = 8  # fewer have no spread to speak of
 
@@ -146,11 +154,9 @@ class RangeAdaptation(Adaptation):
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The network's own losses, and the global and the local one."""
-        network, frames = self.modules[DETECTOR], batch[LABELLED]
+        network, frames = self.network, batch[LABELLED]
         features = network.encode(frames.inputs)
-        outputs = network.head(features, frames.targets)
-        with torch.autocast(next(network.parameters()).device.type, enabled=False):
-            losses: dict[str, Tensor] = network.losses(outputs, frames.targets)
+        losses = detection_losses(network, features, frames.targets)
         rng = self.generator(step)
         if self.settings.global_ is not None:
             losses["global"] = self._global(self.settings.global_, features, frames, step, rng)
@@ -163,7 +169,7 @@ class RangeAdaptation(Adaptation):
     def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
         """Near and far cells of a frame, the same windows for all."""
         del stream, number
-        cells = occupied(features, inputs, z_range_m(self.modules[DETECTOR].config))
+        cells = self.occupied(features, inputs)
         windows = draw_windows(self.settings, self.generator(0, shared=True))
         near, far = windows.split(cells, self.settings.min_range_m)
         return [(0, cells[near]), (1, cells[far])]
@@ -171,7 +177,7 @@ class RangeAdaptation(Adaptation):
     def _global(
         self, chosen: GlobalAlignment, features: Features, frames: Batch, step: int, rng: np.random.Generator
     ) -> Tensor:
-        cells = occupied(features, frames.inputs, z_range_m(self.modules[DETECTOR].config))
+        cells = self.occupied(features, frames.inputs)
         windows = draw_windows(self.settings, self.generator(step, shared=True))
         near, far = windows.split(cells, self.settings.min_range_m)
         if chosen.match_density:
@@ -201,7 +207,7 @@ class RangeAdaptation(Adaptation):
     ) -> Tensor:
         every = objects_of(features, frames.boxes, self.classes, chosen.extent)
         near = every.chosen((every.range_m < self.settings.near_m[1]) & (every.points >= chosen.near_points))
-        memory: Memory = self.modules["memory"]
+        memory = cast(Memory, self.modules["memory"])
         memory.add(near.kind, near.feature, near.descriptor, step)
         far = (every.range_m >= self.settings.far_m[0]) & (every.points >= chosen.far_points)
         weight = chosen.weight * schedule(self.progress(step)) * (self.progress(step) >= chosen.warmup)

@@ -8,16 +8,16 @@ labels is not looked for, for whoever has these would train on them.
 
 import copy
 from collections.abc import Collection, Mapping
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from farfield.adaptation.base import HELD_OUT, Adaptation, start_from
-from farfield.adaptation.cells import Cells, occupied, shown, z_range_m
-from farfield.adaptation.networks import with_own_statistics
+from farfield.adaptation.base import HELD_OUT, Adaptation, weighted_losses
+from farfield.adaptation.cells import Cells, shown
+from farfield.adaptation.networks import start_from, with_own_statistics
 from farfield.adaptation.probes import gradient_norms, total
 from farfield.adaptation.pseudo_labels import (
     PseudoLabels,
@@ -34,7 +34,7 @@ from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import process_count, sum_over_processes
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError, FarfieldError
-from farfield.training.method import DETECTOR, Batch, MethodSettings, Stream, settings_of
+from farfield.training.method import DETECTOR, Batch, MethodSettings, Stream, detection_losses, network_of, settings_of
 from farfield.training.weather import check_weather
 
 _SOURCE, _TARGET, _TEACHER, _COUNTS = "source", "target", "teacher", "counts"
@@ -142,14 +142,15 @@ class MeanTeacher(Adaptation):
         moved = [pseudo.moved(change) for pseudo, change in zip(pseudo_labels, changes, strict=True)]
         # 3. Student: source and view, together or with statistics by domain
         source, target = self._features(batch[_SOURCE].inputs, view)
-        student, of_source = self.modules[DETECTOR], self.modules[self._of_source]
+        student, of_source = self.network, network_of(self.modules, self._of_source)
         # 4. Losses: of the source's labels, and of the pseudo-labels
-        losses = _losses(of_source, source, batch[_SOURCE].targets, self.settings.source_weight, "source")
+        losses = detection_losses(of_source, source, batch[_SOURCE].targets)
+        losses = weighted_losses(losses, "source", self.settings.source_weight)
         if self.settings.weight:
             frames = [{name: view[name][frame] for name in view} for frame in range(len(view))]
             pairs = zip(moved, frames, strict=True)
             targets = [targets_of(student.assigner, pseudo, clouds) for pseudo, clouds in pairs]
-            losses |= _losses(student, target, targets, self.settings.weight, "target")
+            losses |= weighted_losses(detection_losses(student, target, targets), "target", self.settings.weight)
         self._measure(losses, source, target, batch[_SOURCE].inputs, view, step)
         return losses
 
@@ -160,7 +161,7 @@ class MeanTeacher(Adaptation):
         config = self.settings.strong.weather
         if config is None or not config.probability:
             return inputs, pseudo_labels
-        columns = {name: cloud.columns for name, cloud in self.modules[DETECTOR].inputs.items()}
+        columns = {name: cloud.columns for name, cloud in self.network.inputs.items()}
         return in_weather(inputs, pseudo_labels, columns, config, rng.spawn(1)[0])
 
     def _measure(
@@ -171,18 +172,17 @@ class MeanTeacher(Adaptation):
             return
         both = {name: [loss for part, loss in losses.items() if part.startswith(name)] for name in (_SOURCE, _TARGET)}
         self.note(**gradient_norms({name: total(parts) for name, parts in both.items() if parts}, [source, target]))
-        limits = z_range_m(self.modules[DETECTOR].config)
         for name, features, clouds in ((_SOURCE, source, inputs), (_TARGET, target, view)):
-            self.note(**{name: shown(features, occupied(features, clouds, limits))})
+            self.note(**{name: shown(features, self.occupied(features, clouds))})
 
-    def reader(self, stream: str) -> nn.Module:
+    def reader(self, stream: str) -> Network:
         """Each domain has its statistics, if they are apart."""
-        return self.modules[self._of_source if stream == _SOURCE else DETECTOR]
+        return network_of(self.modules, self._of_source if stream == _SOURCE else DETECTOR)
 
     def domains(self, features: Features, inputs: Inputs, stream: str, number: int) -> list[tuple[int, Cells]]:
         """All occupied cells of a frame; its stream is its domain."""
         del number
-        return [(int(stream != _SOURCE), occupied(features, inputs, z_range_m(self.modules[DETECTOR].config)))]
+        return [(int(stream != _SOURCE), self.occupied(features, inputs))]
 
     @property
     def _of_source(self) -> str:
@@ -195,7 +195,7 @@ class MeanTeacher(Adaptation):
         Raises:
             FarfieldError: If it detected no object for too many steps in a row.
         """
-        teacher = self.modules[_TEACHER].eval()
+        teacher = network_of(self.modules, _TEACHER).eval()
         settings, frames = self.settings, teacher.predict(inputs)
         pseudo_labels = [split_by_score(boxes, settings.positive, settings.negative) for boxes in frames]
         confident, ignored = (sum(map(len, part)) for part in zip(*pseudo_labels, strict=True))
@@ -204,7 +204,7 @@ class MeanTeacher(Adaptation):
         return pseudo_labels
 
     def _count(self, confident: int) -> None:
-        empty = self.modules[_COUNTS].empty
+        empty = cast(Counts, self.modules[_COUNTS]).empty
         total = torch.tensor(float(confident), device=empty.device)
         total = sum_over_processes(total) if process_count() > 1 else total
         empty.copy_((empty + 1) * (0 if total else 1))
@@ -217,9 +217,9 @@ class MeanTeacher(Adaptation):
             )
 
     def _features(self, source: Inputs, target: Inputs) -> tuple[Features, Features]:
-        student = self.modules[DETECTOR]
+        student = self.network
         if self.settings.norm == "per_domain":
-            return self.modules[_SOURCE].encode(source), student.encode(target)
+            return network_of(self.modules, _SOURCE).encode(source), student.encode(target)
         one, other = student.encode(source + target).split(len(source))
         return one, other
 
@@ -233,10 +233,3 @@ class MeanTeacher(Adaptation):
                 value.lerp_(student[name].to(value.dtype), 1 - self.settings.decay)
             else:
                 value.copy_(student[name])
-
-
-def _losses(network: nn.Module, features: Features, targets: object, weight: float, name: str) -> dict[str, Tensor]:
-    outputs = network.head(features, targets)
-    with torch.autocast(next(network.parameters()).device.type, enabled=False):
-        losses: dict[str, Tensor] = network.losses(outputs, targets)
-    return {f"{name}_{part}": weight * value for part, value in losses.items()}

@@ -13,6 +13,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, ValidationError
 from torch import Tensor, nn
 
+from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError, fault_of
@@ -213,10 +214,7 @@ class Supervised(Method):
         """The network's own losses."""
         del step
         network, frames = network_of(self.modules), batch[LABELLED]
-        outputs = network(frames.inputs, frames.targets)
-        with torch.autocast(next(network.parameters()).device.type, enabled=False):  # losses are summed in float32
-            losses: dict[str, Tensor] = network.losses(outputs, frames.targets)
-        return losses
+        return detection_losses(network, network.encode(frames.inputs), frames.targets)
 
 
 METHODS: Registry[Callable[..., Method]] = Registry(
@@ -237,6 +235,13 @@ METHODS: Registry[Callable[..., Method]] = Registry(
 def network_of(modules: nn.ModuleDict, name: str = DETECTOR) -> Network:
     """The module of that name, which is a network."""
     return cast(Network, modules[name])
+
+
+def detection_losses(network: Network, features: Features, targets: Sequence[Any]) -> dict[str, Tensor]:
+    """The network's own losses of features that it encoded, by name, summed in float32."""
+    outputs = network.head(features, targets)
+    with torch.autocast(next(network.parameters()).device.type, enabled=False):
+        return network.losses(outputs, targets)
 
 
 def total_of(losses: Mapping[str, Tensor]) -> Tensor:

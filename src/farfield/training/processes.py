@@ -154,6 +154,8 @@ class _SyncedNorm(_BatchNorm):
             sums = sum_over_processes(torch.cat([values.sum(axes), rows]))
             count = sums[-1].detach()
             if count < 2:  # one row has no spread
+                assert self.running_mean is not None
+                assert self.running_var is not None
                 mean, variance = self.running_mean, self.running_var
                 centred = values - mean.view(shape)
             else:
@@ -169,7 +171,7 @@ class _SyncedNorm(_BatchNorm):
 
     @torch.no_grad()
     def _track(self, mean: Tensor, variance: Tensor) -> None:
-        if self.running_mean is None:
+        if self.running_mean is None or self.running_var is None or self.num_batches_tracked is None:
             return
         self.num_batches_tracked += 1
         share = 1 / float(self.num_batches_tracked) if self.momentum is None else self.momentum
