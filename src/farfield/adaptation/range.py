@@ -185,7 +185,7 @@ class RangeAdaptation(Adaptation):
         both = cells[torch.cat([near, far])]
         domain = torch.zeros(len(both), device=both.row.device)
         domain[len(near) :] = 1.0
-        weight = self._weights(chosen, both, domain, frames, _cell_m(features))
+        weight = self._weights(chosen, both, domain, frames, float(getattr(features, "cell_m", 0.0)))
         self.note(near=shown(features, both[: len(near)]), far=shown(features, both[len(near) :]))
         adversary = AdversarialLoss(chosen, self.modules["discriminator"])
         loss = adversary(features, both, domain, schedule(self.progress(step)), rng, weight=weight)
@@ -247,7 +247,3 @@ def local_error(feature: Tensor, mixture: Tensor, near: Tensor) -> Tensor:
     """
     variance = near.detach().var(0, correction=0).mean().clamp(min=1e-6)
     return (feature - mixture.detach()).square().sum() / feature.shape[1] / variance
-
-
-def _cell_m(features: Features) -> float:
-    return float(getattr(features, "cell_m", 0.0))

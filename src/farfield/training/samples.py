@@ -6,8 +6,8 @@ workers, sees exactly the same samples.
 
 import hashlib
 import signal
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -383,7 +383,7 @@ Position = tuple[str, int]
 
 
 class StreamSamples(TorchDataset[TrainingSample]):
-    """The samples of several streams, by stream and position: one loader's workers serve them all."""
+    """The samples of several streams, a batch at a time: one loader's workers serve them all."""
 
     def __init__(self, streams: Mapping[str, TrainingSamples]) -> None:
         self.streams = dict(streams)
@@ -391,10 +391,12 @@ class StreamSamples(TorchDataset[TrainingSample]):
     def __len__(self) -> int:
         return sum(map(len, self.streams.values()))
 
-    def __getitem__(self, stream_position: Position) -> TrainingSample:
-        """The sample at a position of a stream."""
-        name, position = stream_position
-        return self.streams[name][position]
+    def __getitems__(self, positions: Sequence[Position]) -> dict[str, list[TrainingSample]]:
+        """The samples of a batch, by stream."""
+        batch: dict[str, list[TrainingSample]] = {}
+        for name, position in positions:
+            batch.setdefault(name, []).append(self.streams[name][position])
+        return batch
 
 
 def batch_shares(
@@ -464,21 +466,16 @@ def batches(
             together = streams[name].together
             units = range(step * count // together + rank, (step + 1) * count // together, world)
             positions[-1] += [(name, unit * together + member) for unit in units for member in range(together)]
-    loader: DataLoader[TrainingSample] = DataLoader(
+    loader: DataLoader[Any] = DataLoader(
         StreamSamples(streams),
         batch_sampler=positions,
         num_workers=workers,
-        collate_fn=partial(_by_stream, {name: count // world for name, count in counts.items()}),
+        collate_fn=dict,  # a batch comes by stream as it is
         worker_init_fn=_one_thread,
         prefetch_factor=4 if workers else None,
         pin_memory=pinned,
     )
     return iter(loader)
-
-
-def _by_stream(counts: Mapping[str, int], samples: Iterable[TrainingSample]) -> dict[str, list[TrainingSample]]:
-    left = iter(samples)
-    return {name: [next(left) for _ in range(count)] for name, count in counts.items()}
 
 
 def _one_thread(_: int) -> None:

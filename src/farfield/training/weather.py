@@ -33,7 +33,10 @@ def draw_weather(config: WeatherConfig, rng: np.random.Generator) -> OverlaidWea
     if rng.random() >= config.probability:
         return None
     kind = config.kinds[int(rng.integers(len(config.kinds)))]
-    fog_m, rain, snow, film_mm = (_drawn(getattr(config, name), rng) for name in ("fog_m", *_RATES[:2], "film_mm"))
+    fog_m, rain, snow, film_mm = (
+        float(np.geomspace(*getattr(config, name), _STEPS)[rng.integers(_STEPS)])  # evenly in the logarithm
+        for name in ("fog_m", *_RATES[:2], "film_mm")
+    )
     cover, across, up, through, rise_db = (
         rng.uniform(*span)
         for span in (
@@ -56,11 +59,6 @@ def draw_weather(config: WeatherConfig, rng: np.random.Generator) -> OverlaidWea
     seed = np.random.SeedSequence(int(rng.integers(1 << 62)))
     drops = "drop" if kind == "rain" else "ice"
     return OverlaidWeather(weather, seed, drops, (float(across), float(up)), float(through), float(rise_db))
-
-
-def _drawn(span: tuple[float, float], rng: np.random.Generator) -> float:
-    """One of a few values between two, evenly in the logarithm."""
-    return float(np.geomspace(*span, _STEPS)[rng.integers(_STEPS)])
 
 
 def inside_presets(config: WeatherConfig) -> list[str]:
