@@ -12,6 +12,7 @@ import typing as _typing
 import warnings as _warnings
 from functools import partial as _partial
 
+from farfield._old_paths import install as _install_old_paths
 from farfield.registry import register_display as _register_display
 
 try:
@@ -129,5 +130,6 @@ def _draw(function: str, shown: object) -> str:
     return html
 
 
+_install_old_paths()
 for _kind in ("boxes", "cloud", "detector", "frame", "result"):
     _register_display(_kind, _partial(_draw, f"{_kind}_html"))

@@ -204,6 +204,7 @@ def score(
     protocol: str = "dds",
     format: str = "boxes-csv",
     reference: str = "",
+    conditions: Path | str | None = None,
     **settings: Any,
 ) -> "Result":
     """Score the boxes of any detector against annotated boxes, without a model: what ``farfield score`` does.
@@ -215,6 +216,8 @@ def score(
         protocol: As of :func:`evaluate`; also ``"tracking"`` and ``"nuscenes-tracking"``.
         format: Format of both: ``"boxes-csv"``, ``"kitti"``, ``"kitti-tracking"`` or ``"nuscenes"``.
         reference: Coordinates of boxes whose files do not name them, such as ``"radar"``.
+        conditions: For ``"kradar"``: a CSV with the columns sequence, road, time, weather; a K-Radar tree with its
+            description.txt files; or ``"published"`` for the table of K-Radar's 58 sequences.
         **settings: Settings of the protocol, such as ``label`` (the most frequent class unless given),
             ``range_bins_m``, ``region``, ``iou``.
 
@@ -225,14 +228,16 @@ def score(
         ConfigError: If the protocol, the format or a setting is unknown, or there is nothing to score.
         FileFormatError: If a file does not have its format.
     """
-    from farfield.evaluation import read_detections
+    from farfield.evaluation import read_detections, with_conditions
+    from farfield.metrics import PROTOCOLS
 
-    return read_detections(predictions, labels, format=format, reference=reference).score(protocol, **settings)
+    detections = read_detections(predictions, labels, format=format, reference=reference)
+    if conditions is not None:
+        detections = with_conditions(detections, PROTOCOLS[protocol], conditions)
+    return detections.score(protocol, **settings)
 
 
-def simulate(
-    preset: str, out: Path | str, *, recording: bool = False, **options: Any
-) -> "RecordingSummary | RawRecorded":
+def simulate(preset: str, out: Path | str, **options: Any) -> "RecordingSummary | RawRecorded":
     """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE: what ``farfield simulate`` does.
 
     Called again, it goes on where it stopped. The bytes do not depend on the number of workers.
@@ -240,20 +245,20 @@ def simulate(
     Args:
         preset: Such as ``"cirrus-sim-mini"`` or ``"kradar-sim"``.
         out: Folder to write into; made if absent. :func:`open_dataset` opens it.
-        recording: Write the raw streams of each drive of the Cirrus car instead of frames; options are then those of
-            :func:`farfield.simulation.recording.raw.record_streams`.
-        **options: Options of :func:`farfield.simulation.recording.record`: ``frames``, ``sequences``, ``sensors``,
-            ``weather``, ``time``, ``seed``, ``stride_s``, ``uniform_offset_ms``, ``traffic``, ``workers``, ``engine``,
-            ``cache``, ``dry_run``, ``progress``, ``report``.
+        **options: Fields of :class:`farfield.simulation.recording.RecordingOptions`, such as ``frames``, ``sensors``,
+            ``weather``, ``workers``; ``recording=True`` writes the raw streams of each drive of the Cirrus car. And
+            ``progress``, which wraps the numbers of what is left to write, and ``report``, called with each line of
+            what is done.
 
     Raises:
         ConfigError: If there is no such preset, or an option is not possible.
         TypeError: If there is no such option.
     """
-    if recording:
+    if options.pop("recording", False):
         from farfield.simulation.recording.raw import record_streams
 
-        return record_streams(preset, out, **options)
+        sweeps = options.pop("frames", None)
+        return record_streams(preset, out, **{"sweeps": sweeps} | options)
     from farfield.simulation.recording import record
 
     return record(preset, out, **options)

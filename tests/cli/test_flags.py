@@ -1,30 +1,26 @@
 """Flags of one name are one thing in every verb; what is written much can be said without writing it."""
 
-import inspect
 import json
 import re
 import subprocess
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from farfield.cli import VERBS, main
-from farfield.cli._completion import SHELLS, flags_of, script
-
-RUNS = {verb: import_module(f"farfield.cli.{verb.replace('-', '_')}").run for verb in VERBS}
+from farfield.cli._completion import SHELLS, arguments_of, flags_of, script
 
 
 def types_of(flag: str) -> dict[str, set[str]]:
     """The verbs in which a flag is of each type; positional arguments are left out."""
-    found: dict[str, set[str]] = {}
-    for verb, run in RUNS.items():
-        parameter = inspect.signature(run).parameters.get(flag)
-        if parameter is not None and "Positional" not in str(parameter.annotation):
-            kind = str(parameter.annotation).removeprefix("typing.Annotated[").partition(", _ArgConfig")[0]
-            found.setdefault(kind.removesuffix(" | None").replace("<class '", "").removesuffix("'>"), set()).add(verb)
-    return found
+    types: dict[str, set[str]] = {}
+    for verb in VERBS:
+        for argument in arguments_of(verb):
+            if argument.option_strings and argument.dest.rpartition(".")[2] == flag:
+                kind = str(argument.metavar or type(argument).__name__).removeprefix("{None}|")
+                types.setdefault(kind, set()).add(verb)
+    return types
 
 
 @pytest.mark.parametrize(
@@ -102,7 +98,7 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
 def test_completion_knows_every_verb_and_flag(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--completion", shell]) == 0
     text = capsys.readouterr().out
-    assert text == script(shell)
+    assert text == script(shell, VERBS)
     assert all(verb in text for verb in VERBS)
     assert "--score-threshold" in text if shell == "bash" else "score-threshold" in text
     assert main(["--completion", "tcsh"]) == 2
@@ -119,7 +115,7 @@ def test_completion_knows_every_verb_and_flag(shell: str, capsys: pytest.Capture
     ],
 )
 def test_bash_completes(typed: list[str], wanted: set[str], tmp_path: Path) -> None:
-    (tmp_path / "complete.bash").write_text(script("bash"))
+    (tmp_path / "complete.bash").write_text(script("bash", VERBS))
     words = " ".join(f"'{word}'" for word in typed)
     lines = f"source {tmp_path / 'complete.bash'}; COMP_WORDS=({words}); COMP_CWORD={len(typed) - 1}; _farfield"
     done = subprocess.run(

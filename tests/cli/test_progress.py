@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from farfield.cli._progress import bar
+from farfield.cli._output import bar
 
 
 class Lazy:

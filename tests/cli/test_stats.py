@@ -6,6 +6,7 @@ import pytest
 from street import write_street
 
 from farfield.cli import doctor, stats
+from farfield.cli._flags import ReadingFlags
 from farfield.datasets import open_dataset
 from farfield.errors import ConfigError
 from farfield.inspection.doctor import examine
@@ -75,7 +76,7 @@ def test_a_version_that_is_not_there_is_refused(tmp_path):
     from farfield.errors import DatasetError
 
     with pytest.raises(DatasetError, match=r"annotations v1\.0"):
-        stats.run(write_labels(tmp_path), labels="v1.0", out=tmp_path / "out")
+        stats.run(write_labels(tmp_path), reading=ReadingFlags(labels="v1.0"), out=tmp_path / "out")
 
 
 def test_the_doctor_tells_what_a_tree_of_annotations_has(tmp_path, capsys):

@@ -12,7 +12,7 @@ from rich.console import Console
 from test_training import words_of_train
 
 from farfield.cli import main
-from farfield.cli._training import LineReport
+from farfield.cli._training_report import LineReport
 from farfield.errors import ConfigError
 
 

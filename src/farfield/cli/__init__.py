@@ -155,7 +155,7 @@ def _print_completion(words: list[str]) -> int:
     if len(words) != 1 or words[0] not in SHELLS:
         print(f"farfield --completion: expected one of {', '.join(SHELLS)}, got {' '.join(words)!r}", file=sys.stderr)
         return 2
-    print(script(words[0]), end="")
+    print(script(words[0], VERBS), end="")
     return 0
 
 

@@ -7,10 +7,9 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._dry import would_write
-from farfield.cli._progress import bar, hands
-from farfield.cli._training import BarReport, LineReport
-from farfield.cli._words import names
+from farfield.cli._flags import ALL_CORES, Jobs, ReadingFlags, names
+from farfield.cli._output import bar, would_write
+from farfield.cli._training_report import BarReport, LineReport
 
 
 def run(
@@ -30,8 +29,7 @@ def run(
     minutes: float = 0.0,
     whole_bodies: bool = False,
     seed: int = 0,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     out: Path | None = None,
     overwrite: bool = False,
     dry_run: bool = False,
@@ -72,24 +70,23 @@ def run(
             that a sensor sees, as Cirrus' are: the source's labels teach them in the first round, pseudo boxes from
             then on.
         seed: Another seed simulates other roads and draws other batches.
-        workers: Processes that search; 0 takes as many as there are cores, frames and memory for, one on a GPU.
-        engine: Where the searching is done.
+        jobs: Who does the work.
         out: Folder of the adaptation; runs/adapted-DATA unless given.
         overwrite: Begin anew; simulated source frames stay.
         dry_run: Say what would be written, and write nothing.
     """
     from rich.console import Console
 
-    from farfield.api import adapt, open_dataset
+    from farfield.api import adapt
 
-    reading: dict[str, Any] = {"rotate_deg": rotate_deg} | ({"bin_columns": columns} if columns else {})
-    opened = open_dataset(data, **reading)
+    reading = ReadingFlags(columns=columns)
+    opened = reading.open(data, rotate_deg=rotate_deg)
     folder = out or Path("runs") / f"adapted-{opened.root.name}"
     console = Console(stderr=True)
     kind = _Bars if console.is_terminal else _Lines
     given: dict[str, Any] = {
         "source": source,
-        "labels": None if labels is None else open_dataset(labels, **reading),
+        "labels": None if labels is None else reading.open(labels, rotate_deg=rotate_deg),
         "clouds": tuple(names(clouds)),
         "frames": frames,
         "source_frames": source_frames,
@@ -112,7 +109,7 @@ def run(
         opened,
         out=folder,
         **given,
-        bulk=hands(workers, engine, "searching"),
+        bulk=jobs.options("searching"),
         report=kind(console, folder, 20),
         overwrite=overwrite,
     )

@@ -5,8 +5,8 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._dry import from_files, would_write
-from farfield.cli._progress import hands
+from farfield.cli._flags import ALL_CORES, Jobs
+from farfield.cli._output import from_files, would_write
 
 
 def run(
@@ -19,8 +19,7 @@ def run(
     side_by_side: tuple[str, ...] = (),
     small_faces: bool = False,
     plates: bool = True,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     dry_run: bool = False,
 ) -> None:
     """Cover faces and number plates in all pictures and films below a folder; originals are only read.
@@ -45,8 +44,7 @@ def run(
         side_by_side: Folders whose pictures hold both eyes beside each other; K-Radar's are known.
         small_faces: Look at twice the size too: finds faces below 15 pixels, in five times the time.
         plates: Cover number plates too (extra detect).
-        workers: Processes; 0 takes as many as there are cores, pictures and memory for.
-        engine: Where the work is done.
+        jobs: Who does the work.
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError
@@ -75,8 +73,8 @@ def run(
         chosen,
         pairs=find_stereo_pairs(sources.folders, eyes),
         both=find_side_by_side(sources.folders, (*side_by_side, *SIDE_BY_SIDE)),
-        find=hands(workers, engine, "finding"),
-        cover=hands(workers, engine, "covering"),
+        find=jobs.options("finding"),
+        cover=jobs.options("covering"),
     )
     write_privacy_page(out / "anonymized.html", out, done, title=f"Covered: {path.name or path}")
     kinds, doubtful = [row["kind"] for each in done for row in each.rows], sum(len(each.doubtful) for each in done)

@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 from tyro.conf import Positional
 
+from farfield.cli._flags import AS_THEY_ARE, Reading
+
 
 def run(
     kind: Positional[Literal["radar-lidar", "lidar-camera", "lidar-lidar", "board"]],
@@ -33,7 +35,7 @@ def run(
     square: float = 0.03,
     charuco: bool = False,
     draw: Path | None = None,
-    mapping: Path | None = None,
+    reading: Reading = AS_THEY_ARE,
     save: Path | None = None,
     out: Path | None = None,
     page: bool = False,
@@ -79,7 +81,7 @@ def run(
         square: Side of its squares in metres.
         charuco: It is a ChArUco board: markers in its white squares.
         draw: Write the board as a picture to print, and stop.
-        mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
+        reading: How the files are read.
         save: File to write the result into: calib_radar_lidar.txt, cam_N.yml, KITTI's calibration, or JSON; or the data
             set's own folder: then the files from which its reader reads.
         out: Folder to write into; runs/calibrate-NAME unless given.
@@ -89,7 +91,6 @@ def run(
     """
     from farfield.calibration.initial_guess import InitialGuess
     from farfield.calibration.jobs import choose_frames
-    from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
 
     if frames < 1:
@@ -104,7 +105,6 @@ def run(
     if kind == "board":
         result = _board(path, board, camera, save)
         return _write(folder, result)
-    given: dict[str, Any] = {} if mapping is None else {"mapping": mapping}
     beginning = InitialGuess(
         focal_px=guess_focal, intrinsics=intrinsics, position_m=position, facing_deg=facing, car=car
     )
@@ -122,8 +122,8 @@ def run(
             pairs=pairs,
             folder=folder,
         )
-        return _page(path, given, settings, port=port, browser=browser)
-    data = open_dataset(path, **given)
+        return _page(path, reading.options, settings, port=port, browser=browser)
+    data = reading.open(path)
     indices = choose_frames(data, sequence, frames, runs=kind == "radar-lidar")
     folder.mkdir(parents=True, exist_ok=True)
     if kind == "radar-lidar":
@@ -135,11 +135,11 @@ def run(
     return _write(folder, result)
 
 
-def _page(path: Path, given: dict[str, Any], calibration: Any, *, port: int | None, browser: bool) -> int:
+def _page(path: Path, reading: dict[str, Any], calibration: Any, *, port: int | None, browser: bool) -> int:
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 
-    opening = DatasetOpener(path, **given)
+    opening = DatasetOpener(path, **reading)
     settings = StudioSettings(mode="calibrate", title=opening.title, calibration=calibration)
     return serve(opening, settings, port=port, browser=browser)
 

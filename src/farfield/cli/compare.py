@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._progress import hands
-from farfield.cli._words import pairs_of, read_json, write_json
+from farfield.cli._flags import ALL_CORES, Jobs, parse_pairs
+from farfield.cli._output import read_json, write_json
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -28,8 +28,7 @@ def run(
     vehicle_labels: str = "vehicle",
     focus_deg: float = -2.0,
     clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     mapping_a: Path | None = None,
     mapping_b: Path | None = None,
     out: Path | None = None,
@@ -54,8 +53,7 @@ def run(
         focus_deg: Elevation about which shares of returns are also counted.
         clouds: Which cloud of A stands beside which of B, as A:B with commas between, such as gaussian:lidar; unless
             given those of one name, or where no name is in both the first beside the first.
-        workers: Processes; 0 takes as many as there are cores, frames and memory for.
-        engine: Where the frames are read.
+        jobs: Who does the work.
         mapping_a: Mapping YAML of a, if it is a Cirrus copy that deviates from the documented layout.
         mapping_b: The same of b.
         out: Folder to write into; runs/compare-A-B unless given.
@@ -73,10 +71,10 @@ def run(
     called = _names(names, (a, b))
     opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
     sides: Sequence[ComparedDataset] = [
-        count_dataset(data, name, frames, hands(workers, engine, name), vehicle_labels=labels, focus_deg=focus_deg)
+        count_dataset(data, name, frames, jobs.options(name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
     ]
-    sides, pairs = pair_clouds(sides, pairs_of(clouds, "--clouds") if clouds else None)
+    sides, pairs = pair_clouds(sides, parse_pairs(clouds, "--clouds") if clouds else None)
     folder = out or Path("runs") / f"compare-{'-'.join(called)}".replace(" ", "_")
     page = write_comparison(folder, sides, title=f"{called[0]} and {called[1]}")
     _print(table_lines(sides), sides)

@@ -1,12 +1,12 @@
 """``farfield convert``: write a data set in another layout, as a fast binary cache, or its radar tensors made light."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from farfield.cli._dry import from_data, would_write
-from farfield.cli._progress import hands
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
+from farfield.cli._output import from_data, would_write
 
 
 def run(
@@ -15,10 +15,8 @@ def run(
     /,
     *,
     to: Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"],
-    mapping: Path | None = None,
+    reading: Reading = AS_THEY_ARE,
     format: str | None = None,
-    roots: tuple[Path, ...] = (),
-    columns: int | None = None,
     boxes: Literal["boxes", "full_boxes"] = "boxes",
     cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     reference: str | None = None,
@@ -27,8 +25,7 @@ def run(
     rate: float = 1.0,
     over: Literal["all", "valid", "region"] = "all",
     doppler: bool = True,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     verify: bool = False,
     overwrite: bool = False,
     dry_run: bool = False,
@@ -53,10 +50,8 @@ def run(
         source: Folder of the data set; its format is recognised.
         target: Folder to write into, or a .csv file with --to boxes-csv; none with --to cache.
         to: The layout to write.
-        mapping: Mapping file of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
+        reading: How the files are read.
         format: Format of the source, if it is not to be recognised.
-        roots: Further folders over which a K-Radar is spread.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
         boxes: Label the frames' own boxes, or the full objects' where the data set knows both.
         cloud: Which cloud to write (gaussian, uniform...); the first unless given.
         reference: Sensor in whose coordinates boxes and clouds are written, such as radar; the data's own unless given.
@@ -66,25 +61,19 @@ def run(
         over: Whether that share is of all cells before they are cropped (K-Radar's wide clouds), of the valid ones in
             the field of view, or of the region's (its corridor's clouds).
         doppler: Keep each cell's velocity in a radar store.
-        workers: Processes; 0 takes as many as there are cores, files and memory for.
-        engine: Where the work is done.
+        jobs: Who does the work.
         verify: Only compare what was written with its checksums and its source.
         overwrite: Write everything anew.
         dry_run: Say what would be written, and write nothing.
     """
-    from farfield.datasets import open_dataset
     from farfield.datasets.convert import check_apart, convert
     from farfield.datasets.convert import verify as verify_all
     from farfield.datasets.kradar.store import StoreSettings
     from farfield.errors import ConfigError, DatasetError
 
-    options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
-    options |= {"roots": roots} if roots else {}
-    options |= {"reference": reference} if reference else {}
-    options |= {"bin_columns": columns} if columns else {}
     if verify and (target is None or to == "cache"):
         raise ConfigError("convert: expected the folder that was written with --verify, got none")
-    dataset = open_dataset(source, **options)
+    dataset = reading.open(source, format=format, reference=reference)
     kept = tuple(name.strip() for name in products.split(","))
     store = StoreSettings(products=kept, region=region, rate=rate, over=over, doppler=doppler)
     if verify and target is not None:
@@ -108,6 +97,6 @@ def run(
         cloud=cloud,
         overwrite=overwrite,
         store=store,
-        bulk=hands(workers, engine, "writing"),
+        bulk=jobs.options("writing"),
     )
     print(f"{outcome.written} written, {outcome.skipped} were there and intact.")

@@ -4,8 +4,8 @@ import time
 from functools import partial
 from pathlib import Path
 
-from farfield.cli._dry import would_write
-from farfield.cli._progress import bar, hands
+from farfield.cli._flags import JobFlags
+from farfield.cli._output import bar, would_write
 from farfield.errors import ConfigError
 
 _START_S, _FRAME_S = 15.0, 1.5  # two cores of an AMD EPYC: imports and the page; simulating and searching a frame
@@ -126,7 +126,7 @@ def _with_radar(out: Path, sequences: int, frames: int, seed: int) -> int:
         title="4D radar and LiDAR on the same simulated drives, in normal weather and in sleet",
         name=f"{folder.name} in normal weather and in sleet",
         journals=kept,
-        bulk=hands(1, "local", "detecting"),
+        bulk=JobFlags(workers=1).options("detecting"),
     )
     page, picture = write_weathers(evaluation, kept, picture=PICTURE)
     print(weather_table(evaluation.results, _WEATHERS))

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._dry import from_data, would_write
-from farfield.cli._progress import hands
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
+from farfield.cli._output import from_data, would_write
 
 
 def run(
@@ -23,10 +23,8 @@ def run(
     max_gap_deg: float = 5.0,
     picture: Path | None = None,
     format: str | None = None,
-    mapping: Path | None = None,
-    roots: tuple[Path, ...] = (),
-    workers: int = 0,
-    engine: str = "local",
+    reading: Reading = AS_THEY_ARE,
+    jobs: Jobs = ALL_CORES,
     overwrite: bool = False,
     dry_run: bool = False,
 ) -> None:
@@ -55,19 +53,14 @@ def run(
         max_gap_deg: Neighbours further apart than this are not joined.
         picture: SVG, PNG or JPEG of the first frame's map to write.
         format: Format of the data, if it is not to be recognised.
-        mapping: Mapping file of a Cirrus copy; its calib names your calibration, since none was published.
-        roots: Further folders over which a K-Radar is spread.
-        workers: Processes; 0 takes as many as there are cores, frames and memory for.
-        engine: Where the work is done.
+        reading: How the files are read.
+        jobs: Who does the work.
         overwrite: Make every map anew.
         dry_run: Say what would be written, and write nothing.
     """
-    from farfield.datasets import open_dataset
     from farfield.depth.writing import DepthSettings, write_depth_maps
 
-    options: dict[str, Any] = {"format": format} if mapping is None else {"mapping": mapping}
-    options |= {"roots": roots} if roots else {}
-    dataset = open_dataset(data, **options)
+    dataset = reading.open(data, format=format)
     settings = DepthSettings(
         cloud=cloud,
         camera=camera,
@@ -89,8 +82,8 @@ def run(
         dataset,
         out,
         settings,
-        survey=hands(workers, engine, "looking for the farthest point"),
-        bulk=hands(workers, engine, "writing"),
+        survey=jobs.options("looking for the farthest point"),
+        bulk=jobs.options("writing"),
         overwrite=overwrite,
     )
     print(_said(written.outcome.written, written.outcome.skipped, written.summary))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from farfield.cli._words import write_json
+from farfield.cli._output import write_json
 from farfield.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -2,12 +2,12 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import tyro
 
-from farfield.cli._progress import hands
-from farfield.cli._words import OUTPUT, write_json
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
+from farfield.cli._output import OUTPUT, write_json
 
 if TYPE_CHECKING:
     from farfield.inspection.doctor import DoctorReport
@@ -19,15 +19,11 @@ def run(
     path: tyro.conf.Positional[Path],
     /,
     *,
-    mapping: Path | None = None,
+    reading: Reading = AS_THEY_ARE,
     format: str | None = None,
-    labels: str | None = None,
-    roots: tuple[Path, ...] = (),
-    columns: int | None = None,
     frames: int = 20,
     calibration: int = 0,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     json: Path | None = None,
 ) -> int:
     """Say what a data set holds, what is missing and how to mend it.
@@ -43,25 +39,19 @@ def run(
 
     Args:
         path: Folder of the data set; its format is recognised.
-        mapping: Mapping file of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
+        reading: How the files are read.
         format: Format, if it is not to be recognised: cirrus, kitti, view_of_delft, kitti_tracking, argoverse2, kradar,
             radiate or folder.
-        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
-        roots: Further folders of a K-Radar that is spread over several disks.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
         frames: Number of frames whose clouds are read, spread evenly; 0 reads all.
         calibration: Number of frames with which to check cameras and K-Radar's radar: whether the given calibration
             fits, and whether a sensor moved during the first drive; 0 does not. Cameras need about 24, a radar 80.
-        workers: Processes; 0 takes as many as there are cores, frames and memory for.
-        engine: Where the frames are read.
+        jobs: Who does the work.
         json: Also write the report as JSON into this file; - prints it instead of the table.
     """
-    from farfield.datasets import open_dataset
     from farfield.inspection.doctor import examine
 
-    given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots, "bin_columns": columns}
-    dataset = open_dataset(path, format=format, **{name: value for name, value in given.items() if value})
-    report = examine(dataset, max_clouds=frames, calibration=calibration, bulk=hands(workers, engine, "reading"))
+    dataset = reading.open(path, format=format)
+    report = examine(dataset, max_clouds=frames, calibration=calibration, bulk=jobs.options("reading"))
     if json is not None:
         write_json(json, report.to_json())
     if json != OUTPUT:

@@ -3,15 +3,23 @@
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._detector_options import OWN, BoxFlags
-from farfield.cli._dry import would_write
-from farfield.cli._progress import bar, hands
-from farfield.cli._words import deprecated, names, parse_options, write_json
+from farfield.cli._flags import (
+    ALL_CORES,
+    AS_THEY_ARE,
+    OWN_BOXES,
+    OWN_SCORING,
+    Jobs,
+    Reading,
+    Scoring,
+    ShownBoxes,
+    names,
+)
+from farfield.cli._output import bar, would_write, write_json
 
 _FEW = 40
 """Frames for which this process is faster than others that must first import torch."""
@@ -24,21 +32,13 @@ def run(
     clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
     split: str = "",
     rotate_deg: float = 0.0,
-    mapping: Path | None = None,
-    columns: int | None = None,
-    protocol: str = "",
-    label: str | None = None,
-    range_bins_m: str = "",
-    epsilons: str = "",
-    epsilon: str = "",
-    region: str = "",
-    options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
-    replicates: int = 200,
-    kept: BoxFlags = OWN,
+    reading: Reading = AS_THEY_ARE,
+    protocol: str | None = None,
+    scoring: Scoring = OWN_SCORING,
+    boxes: ShownBoxes = OWN_BOXES,
     precision: Literal["auto", "fp32", "bf16", "fp16"] = "auto",
     device: str | None = None,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     shown_frames: int = 2,
     report: bool = True,
     out: Path | None = None,
@@ -66,24 +66,15 @@ def run(
         clouds: Which clouds, comma-separated; by default those that suit the detector.
         split: train, val or test, or time-val and its like to cut each sequence in time; all frames unless given.
         rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
-        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
+        reading: How the files are read.
         protocol: dds, nuscenes, kitti, kradar, kradar-compat:VARIANT or a registered one; kradar on K-Radar's layout
             and dds on all others unless given. K-Radar's also scores each weather, road and time of day.
-        label: The class to score by range; unless given the most frequent one that the detector knows (large_vehicle
-            counts as vehicle), or with K-Radar's protocols every class that it knows. All its classes have a row too.
-        range_bins_m: Edges of the range bins; 0,70,150,250 or K-Radar's 0,20,40,60,80 unless given.
-        epsilons: wDDS weights; for dds 0,0.003,0.006,0.009 unless given, for nuscenes 0.
-        epsilon: The old name of epsilons.
-        region: For dds window (x 0..250, |y| <= 50 m, the default), range, or none; for nuscenes and kitti none is the
-            default. K-Radar's: wide (the default), narrow, none, or six bounds in the radar's frame.
-        options: Further settings of the protocol, such as min_points=5 ap=area distance=bev.
-        replicates: Bootstrap replicates of the 95 % intervals; 0 for none.
-        kept: Which of the detector's boxes count.
+        scoring: How the boxes are scored. All classes that the detector knows have a row too; large_vehicle counts as
+            vehicle where no label is given.
+        boxes: Which of the detector's boxes count.
         precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
-        workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU or for few frames.
-        engine: Where the work is done.
+        jobs: Who does the work.
         shown_frames: Frames in the report's pictures.
         report: Draw the page; without it `farfield report` draws it later from what is kept.
         out: Folder of the evaluation and its report.html; runs/evaluation-DETECTOR-DATA unless given, with a number
@@ -93,56 +84,45 @@ def run(
         json: Write the result into this file as `farfield score --json` does, of several clouds by their names; -
             prints it.
     """
-    from farfield.api import load_detector, open_dataset
+    from farfield.api import load_detector
     from farfield.evaluation import as_trained, suitable_clouds
     from farfield.evaluation.evaluating import EvaluationOptions, evaluate_clouds
     from farfield.evaluation.record import default_folder
     from farfield.figures.tables import class_table
     from farfield.frame.provenance import is_simulated
-    from farfield.metrics import PROTOCOLS, Bootstrap
-    from farfield.metrics.options import numbers
+    from farfield.metrics import PROTOCOLS
     from farfield.metrics.result import figure_names, value_at
     from farfield.pages.evaluation_page import write_report
 
-    epsilons = deprecated("--epsilon", epsilon, "--epsilons", epsilons)
-    reading: dict[str, Any] = {"mapping": mapping} if mapping else {}
-    reading |= {"bin_columns": columns} if columns else {}
-    opened = open_dataset(data, rotate_deg=rotate_deg, **reading)
+    opened = reading.open(data, rotate_deg=rotate_deg)
     opened = opened.split(split) if split else opened
-    loaded = load_detector(detector, precision=precision, device=device, **kept.options)
+    loaded = load_detector(detector, precision=precision, device=device, **boxes.options)
     print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     protocol = protocol or opened.protocol
-    given: dict[str, Any] = {
-        "label": label,
-        "range_bins_m": numbers(range_bins_m, "--range-bins-m") if range_bins_m else None,
-        "epsilons": numbers(epsilons, "--epsilons") if epsilons else None,
-        "region": region or None,
-        "bootstrap": Bootstrap(replicates=replicates) if "bootstrap" in PROTOCOLS[protocol].options() else None,
-    }
-    given |= parse_options(PROTOCOLS[protocol], options, tuple(given))
+    settings = scoring.settings(PROTOCOLS[protocol])
+    if scoring.label is not None:
+        settings["label"] = scoring.label
     folder = out or default_folder(loaded.name, loaded.digest(), opened)
     if dry_run:
         first = as_trained(opened, loaded.info)[0]
-        read = names(clouds) or suitable_clouds(loaded.info, first)
-        for each in read:
-            first.cloud(each)  # or says why it cannot be read
-        what = (
-            f"{protocol} on {len(opened)} frames, cloud {', '.join(read)}: evaluation.json, what is found, report.html"
-        )
+        chosen = names(clouds) or suitable_clouds(loaded.info, first)
+        for cloud in chosen:
+            first.cloud(cloud)  # or says why it cannot be read
+        what = f"{protocol} on {len(opened)} frames, cloud {', '.join(chosen)}: evaluation.json, the boxes, report.html"
         would_write(what, folder)
         return 0
-    chosen = EvaluationOptions(
+    options = EvaluationOptions(
         clouds=names(clouds) or None,
         shown_frames=shown_frames,
         protocol=protocol,
         title=f"{detector} on {opened.root.name}",
-        provenance={"simulated": is_simulated(opened.root), **({"kept": kept.said} if kept.said else {})},
-        bulk=hands(workers or int(loaded.device.type != "cpu" or len(opened) < _FEW), engine, "detecting"),
+        provenance={"simulated": is_simulated(opened.root), **({"kept": boxes.changed} if boxes.changed else {})},
+        bulk=jobs.options("detecting", workers=int(loaded.device.type != "cpu" or len(opened) < _FEW)),
         journals=folder,
         overwrite=overwrite,
-        settings={name: value for name, value in given.items() if value is not None},
+        settings=settings,
     )
-    evaluation = evaluate_clouds(loaded, opened, chosen)
+    evaluation = evaluate_clouds(loaded, opened, options)
     evaluation.save(folder)
     if evaluation.timing:  # apart, so that equal evaluations are equal files
         write_json(folder / "timing.json", evaluation.timing)
@@ -160,8 +140,8 @@ def run(
     print(f"evaluation: {folder / 'evaluation.json'}")
     if report:
         print(f"report: {page.resolve()}")
-    known = (value_at(result, name) for result in evaluation.results.values() for name in figure_names(result))
-    if all(value is None for value in known):
+    figures = (value_at(result, name) for result in evaluation.results.values() for name in figure_names(result))
+    if all(value is None for value in figures):
         print("exit status 1: nothing could be scored, every figure is null")
         return 1
     return 0

@@ -1,11 +1,12 @@
 """``farfield odometry``: poses for drives that come without."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from farfield.cli._dry import from_data, would_write
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
+from farfield.cli._output import from_data, would_write
 
 
 def run(
@@ -20,11 +21,10 @@ def run(
     reach_m: float = 120.0,
     backward: bool = True,
     drives: tuple[str, ...] = (),
-    columns: int | None = None,
+    reading: Reading = AS_THEY_ARE,
     picture: Path | None = None,
     overwrite: bool = False,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     dry_run: bool = False,
 ) -> int:
     """Find the poses of a data set's LiDAR from its sweeps alone, and say how far they drift.
@@ -51,15 +51,12 @@ def run(
         reach_m: Farther points are left out.
         backward: Place the sweeps backwards too, which tells the drift and takes as long again.
         drives: Only these.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
+        reading: How the files are read.
         picture: SVG, PNG or JPEG of the tracks from above to write.
         overwrite: Forget what was done before.
-        workers: Processes; 0 takes as many as there are cores, drives and memory for.
-        engine: Where drives are placed.
+        jobs: Who does the work.
         dry_run: Say what would be written, and write nothing.
     """
-    from farfield.cli._progress import hands
-    from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.figures.style import check_picture
     from farfield.odometry.drives import SweepSettings, odometry
@@ -70,8 +67,7 @@ def run(
         check_picture(picture)
     name = data.resolve().name
     folder = out or Path("runs") / f"odometry-{name}"
-    reading: dict[str, Any] = {"bin_columns": columns} if columns else {}
-    opened = open_dataset(data, **reading)
+    opened = reading.open(data)
     if drives:
         known = opened.drive_indices()
         absent = [each for each in drives if each not in known]
@@ -90,7 +86,7 @@ def run(
         settings=OdometrySettings(most_m=reach_m),
         backward=backward,
         overwrite=overwrite,
-        bulk=hands(workers, engine, "placing drives"),
+        bulk=jobs.options("placing drives"),
     )
     write_odometry(folder, found, title=f"Odometry of {name}", picture=picture)
     for track in found:

@@ -3,14 +3,13 @@
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._detector_options import OWN, BoxFlags
-from farfield.cli._dry import would_write
-from farfield.cli._progress import hands
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, OWN_BOXES, Jobs, Reading, ReadingFlags, ShownBoxes
+from farfield.cli._output import would_write
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -29,14 +28,13 @@ def run(
     out: Path | None = None,
     format: Literal["boxes-csv", "kitti", "nuscenes"] | None = None,
     cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
-    kept: BoxFlags = OWN,
+    boxes: ShownBoxes = OWN_BOXES,
     rotate_deg: float = 0.0,
     reference: str = "",
-    columns: int | None = None,
+    reading: Reading = AS_THEY_ARE,
     precision: Literal["auto", "fp32", "bf16", "fp16"] = "auto",
     device: str | None = None,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     picture: Path | None = None,
     dry_run: bool = False,
 ) -> int:
@@ -59,16 +57,15 @@ def run(
         format: boxes-csv, kitti (FRAME.txt a frame, in a folder for each of several sequences; boxes in the camera) or
             nuscenes (one JSON; boxes in the world where poses are known); what the suffix of --out says unless given.
         cloud: Which of a data set's clouds; the first that suits the detector unless given.
-        kept: Which boxes are kept: those that load_detector gives with the same settings. Without --score-threshold the
-            weights' own threshold counts, and pictures leave out boxes below 0.3.
+        boxes: Which boxes are written: those that load_detector gives with the same settings. Without
+            --score-threshold the weights' own threshold counts, and pictures leave out boxes below 0.3.
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
+        reading: How the files are read.
         precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
-        workers: Processes; 0 takes as many as there are cores, frames and memory for, one on a GPU.
-        engine: Where the work is done.
+        jobs: Who does the work.
         picture: Draw the first frame from above into this file, and its camera images with their boxes beside it, as
             FILE-CAMERA.
         dry_run: Say what would be written, and write nothing.
@@ -82,13 +79,13 @@ def run(
     from farfield.jobs.folders import sweep_out_file
 
     chosen_format = result_format(out, format)
-    frames = _frames(files, rotate_deg, columns)
+    frames = _frames(files, rotate_deg, reading)
     if out is not None:
         check_apart(out, frames)
-    loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **kept.options)
+    loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **boxes.options)
     print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
-    bulk = hands(workers or int(loaded.device.type != "cpu"), engine, "detecting")
+    bulk = jobs.options("detecting", workers=int(loaded.device.type != "cpu"))
     chosen = partial(plan_detection, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
     prepared = chosen()
     own, seen = frames[0], prepared.task.seen[0]
@@ -118,7 +115,7 @@ def run(
         for text in format_boxes_csv_parts(rows_of(found, shown[0].reference)):
             sys.stdout.write(text)
     if picture is not None:
-        _draw(picture, shown[0], found.first, kept.score_threshold)
+        _draw(picture, shown[0], found.first, boxes.score_threshold)
     return 0
 
 
@@ -163,14 +160,12 @@ class _CountedPredictions:
             yield key, boxes
 
 
-def _frames(files: tuple[Path, ...], rotate_deg: float, columns: int | None) -> "Dataset":
-    from farfield.datasets import open_dataset
+def _frames(files: tuple[Path, ...], rotate_deg: float, reading: ReadingFlags) -> "Dataset":
     from farfield.datasets.memory import CloudFiles
     from farfield.errors import DatasetError
 
     if len(files) == 1 and files[0].is_dir():
-        given: dict[str, Any] = {} if columns is None else {"bin_columns": columns}
-        return open_dataset(files[0], rotate_deg=rotate_deg, **given)
+        return reading.open(files[0], rotate_deg=rotate_deg)
     missing = [str(path) for path in files if not path.is_file()]
     if missing or not files:
         raise DatasetError(
@@ -178,4 +173,4 @@ def _frames(files: tuple[Path, ...], rotate_deg: float, columns: int | None) -> 
         )
     if rotate_deg:
         raise DatasetError("--rotate-deg turns the frames of a data set; put the clouds into a folder and name that.")
-    return CloudFiles(files, bin_columns=columns)
+    return CloudFiles(files, bin_columns=reading.columns)

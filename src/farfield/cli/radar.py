@@ -2,11 +2,12 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._progress import bar
+from farfield.cli._flags import AS_THEY_ARE, Reading
+from farfield.cli._output import bar
 
 
 def run(
@@ -20,8 +21,7 @@ def run(
     speed: float | None = None,
     turn: float = 0.0,
     camera: str = "cam-front",
-    labels: str | None = None,
-    roots: tuple[Path, ...] = (),
+    reading: Reading = AS_THEY_ARE,
     out: Path | None = None,
 ) -> int:
     """Look at 4D radar frames: power from above, front and side, Doppler, detected echoes, beside the camera.
@@ -45,11 +45,9 @@ def run(
         speed: How fast the car drives, m/s, to unwrap velocities; from the poses of the frames beside unless given.
         turn: How fast it turns to the left, degrees a second; with --speed.
         camera: Name of the image to show.
-        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
-        roots: Further folders of a K-Radar that is spread over several disks.
+        reading: How the files are read.
         out: Folder to write into; runs/radar-NAME unless given.
     """
-    from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.inspection.radar_frame import look_at
     from farfield.pages.radar_page import write_radar
@@ -58,9 +56,7 @@ def run(
         raise ConfigError(f"--false-alarm: expected a probability between 0 and 1, got {false_alarm:g}")
     if not frames:
         raise ConfigError("--frames: expected one number or more, got none")
-    given: dict[str, Any] = {"labels": labels, "roots": roots}
-    chosen = {name: value for name, value in given.items() if value}
-    data = open_dataset(path, format="kradar", reference="radar", **chosen)
+    data = reading.open(path, format="kradar", reference="radar")
     look = partial(look_at, data, kind=cfar, false_alarm=false_alarm, doppler=doppler, camera=camera)
     looks = [look(index, speed_m_s=speed, turn_deg_s=turn) for index in bar(frames, "frames")]
     name = path.resolve().name

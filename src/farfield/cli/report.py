@@ -6,6 +6,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from farfield.cli._flags import ALL_CORES, JobFlags, Jobs
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 
@@ -22,8 +23,7 @@ def run(
     frames: int = 0,
     reach_m: float = 100.0,
     rate_hz: float = 0.0,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
 ) -> int:
     """Turn an evaluation or a training into one self-contained HTML page, or a drive of a data set into a film.
 
@@ -52,12 +52,11 @@ def run(
         frames: Only so many frames from its beginning; 0: all.
         reach_m: How far ahead the film's views from above show.
         rate_hz: Frames a second; 0 takes the drive's own.
-        workers: Processes that draw the film; 0 takes as many as there are cores and memory for.
-        engine: Where its pictures are drawn.
+        jobs: Who does the work.
     """
     if film is not None:
         boxes = None if predictions is None else (predictions, format)
-        return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), (workers, engine))
+        return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
     from farfield.errors import ConfigError
     from farfield.evaluation.record import EVALUATION, Evaluation
     from farfield.experiments.course import course_of, is_run
@@ -83,9 +82,8 @@ def _film(
     drive: str,
     frames: int,
     shown: tuple[float, float, float],
-    hands: tuple[int, str],
+    jobs: JobFlags,
 ) -> int:
-    from farfield.cli._progress import hands as bulk
     from farfield.datasets import open_dataset
     from farfield.evaluation import in_coordinates
     from farfield.metrics.box_files import read_predictions
@@ -103,7 +101,7 @@ def _film(
         drive=found.name,
         predictions=None if given is None else given.boxes,
         settings=FilmSettings(reach_m=reach_m, rate_hz=rate_hz, score=score),
-        bulk=bulk(*hands, "drawing"),
+        bulk=jobs.options("drawing"),
     )
     print(f"film: {film.resolve()} ({count} frames, {film.stat().st_size / 1e6:.1f} MB)")
     return 0

@@ -7,8 +7,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._dry import would_write
-from farfield.cli._progress import bar
+from farfield.cli._output import bar, would_write
 from farfield.errors import ConfigError
 
 

@@ -1,17 +1,16 @@
 """``farfield show``: one frame as a picture."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._detector_options import OWN, BoxFlags
+from farfield.cli._flags import AS_THEY_ARE, OWN_BOXES, Reading, ShownBoxes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from farfield.datasets import Dataset
     from farfield.frame import Boxes, Frame
 
 
@@ -23,8 +22,8 @@ def run(
     radar: bool = False,
     detector: str = "",
     cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
-    kept: BoxFlags = OWN,
-    columns: int | None = None,
+    boxes: ShownBoxes = OWN_BOXES,
+    reading: Reading = AS_THEY_ARE,
     out: Path | None = None,
 ) -> int:
     """Draw one frame from above, with its annotated boxes and those of a detector, into a PNG.
@@ -41,8 +40,8 @@ def run(
             the radar's points.
         detector: A bundled detector's name, a run's folder, or a weights file, whose boxes are drawn too.
         cloud: Which cloud; the first, or the first that suits the detector, unless given.
-        kept: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
+        boxes: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
+        reading: How the files are read.
         out: The PNG; runs/show-DATA-NUMBER.png unless given.
     """
     from farfield.api import load_detector
@@ -50,16 +49,18 @@ def run(
     from farfield.evaluation import as_trained, suitable_clouds
     from farfield.frame.provenance import is_simulated
 
-    opened, predicted = _opened(data, columns, radar=radar), None
+    opened, predicted = reading.open(data), None
+    if radar and opened.name == "kradar":
+        opened = reading.open(data, reference="radar")
     if not 0 <= frame < len(opened):
         raise ConfigError(f"--frame: expected a number from 0 to {len(opened) - 1}, got {frame}")
     shown = opened[frame]
     if detector:
-        loaded = load_detector(detector, **kept.options)
+        loaded = load_detector(detector, **boxes.options)
         shown = as_trained(opened, loaded.info)[frame]
         cloud = cloud or suitable_clouds(loaded.info, shown)[0]
         predicted = loaded.with_cloud(cloud)(shown)
-    figure = _drawn(shown, predicted, radar, cloud, kept.score_threshold)
+    figure = _drawn(shown, predicted, radar, cloud, boxes.score_threshold)
     path = out or Path("runs") / f"show-{opened.root.resolve().name}-{frame}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
@@ -78,12 +79,3 @@ def _drawn(shown: "Frame", predicted: "Boxes | None", radar: bool, cloud: str | 
     if radar:
         return radar_map(shown, shown_predictions(predicted, shown_score)[0])
     return birdseye(shown, predicted, cloud=cloud, window_m="fit", shown_score=shown_score)
-
-
-def _opened(path: Path, columns: int | None, *, radar: bool) -> "Dataset":
-    """The data set; K-Radar for the radar's sake in the radar's coordinates."""
-    from farfield.datasets import open_dataset
-
-    reading: dict[str, Any] = {"bin_columns": columns} if columns else {}
-    opened = open_dataset(path, **reading)
-    return open_dataset(path, reference="radar") if radar and opened.name == "kradar" else opened

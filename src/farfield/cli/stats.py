@@ -2,12 +2,12 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from farfield.cli._progress import hands
-from farfield.cli._words import read_json, write_json
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, JobFlags, Jobs, Reading
+from farfield.cli._output import read_json, write_json
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -21,13 +21,9 @@ def run(
     out: Path | None = None,
     name: str = "",
     sweeps: int = 20,
-    workers: int = 0,
-    engine: str = "local",
+    jobs: Jobs = ALL_CORES,
     format: str | None = None,
-    mapping: Path | None = None,
-    labels: str | None = None,
-    roots: tuple[Path, ...] = (),
-    columns: int | None = None,
+    reading: Reading = AS_THEY_ARE,
     json: Path | None = None,
 ) -> int:
     """Count a data set: frames by weather, road and time, boxes by class, weather, range and visibility, sensors.
@@ -45,25 +41,19 @@ def run(
         out: Folder to write into; runs/stats-NAME unless given.
         name: What to call the data set; its folder's name unless given.
         sweeps: Number of frames whose clouds and radar are read, spread evenly; 0 reads annotations alone.
-        workers: Processes; 0 takes as many as there are cores, frames and memory for.
-        engine: Where the frames are read.
+        jobs: Who does the work.
         format: Format, if it is not to be recognised.
-        mapping: Mapping file of a Cirrus copy that deviates from the documented layout.
-        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
-        roots: Further folders of a K-Radar that is spread over several disks.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
+        reading: How the files are read.
         json: Write what is in statistics.json into this file too; - prints it.
     """
-    from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.pages.dataset_pages import write_statistics
 
     if sweeps < 0:
         raise ConfigError(f"--sweeps: expected 0 (annotations alone) or more, got {sweeps}")
-    given: dict[str, Any] = {"mapping": mapping, "labels": labels, "roots": roots, "bin_columns": columns}
-    dataset = open_dataset(path, format=format, **{key: value for key, value in given.items() if value})
+    dataset = reading.open(path, format=format)
     called = name or path.resolve().name
-    found = _count(dataset, called, path, sweeps, workers, engine)
+    found = _count(dataset, called, path, sweeps, jobs)
     folder = out or Path("runs") / f"stats-{called}".replace(" ", "_")
     page = write_statistics(folder, found)
     _print(found)
@@ -73,16 +63,16 @@ def run(
     return 0
 
 
-def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, workers: int, engine: str) -> "DatasetFigures":
+def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, jobs: JobFlags) -> "DatasetFigures":
     from farfield.inspection.comparison import count_dataset, has_sensors
     from farfield.inspection.placement import placement
     from farfield.inspection.statistics.census import dataset_notes, take_census
     from farfield.pages.dataset_pages import DatasetFigures
 
-    census = take_census(dataset, hands(workers, engine, "annotations"))
+    census = take_census(dataset, jobs.options("annotations"))
     sensors = None
     if sweeps and has_sensors(dataset):
-        sensors = count_dataset(dataset, called, sweeps, hands(workers, engine, called))
+        sensors = count_dataset(dataset, called, sweeps, jobs.options(called))
     return DatasetFigures(
         name=called,
         format=dataset.name,

@@ -5,7 +5,7 @@ from typing import Literal
 
 import tyro
 
-from farfield.cli._dry import would_write
+from farfield.cli._output import would_write
 
 
 def run(

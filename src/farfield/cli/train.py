@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from farfield.cli._dry import would_write
-from farfield.cli._training import BarReport, LineReport
+from farfield.cli._output import would_write
+from farfield.cli._training_report import BarReport, LineReport
 
 if TYPE_CHECKING:
     from farfield.experiments.schema import Experiment

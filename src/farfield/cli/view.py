@@ -5,6 +5,8 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from farfield.cli._flags import names
+
 
 def run(
     data: Positional[Path | None] = None,
@@ -47,7 +49,6 @@ def run(
         port: Port to listen on; the first free one from 8877 on unless given.
         browser: Open the browser; never over SSH.
     """
-    from farfield.cli._words import names
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 

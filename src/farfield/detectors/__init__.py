@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.detectors.spec import DETECTORS, DetectorSpec, detector
 from farfield.errors import MissingExtraError
+from farfield.registry import old_names
 
 if TYPE_CHECKING:
     from farfield.detectors.anchors.grid import AnchorConfig, AnchorGrid
@@ -34,6 +35,7 @@ _LAZY = {
     "farfield.detectors.runtime": ("Detector",),
     "farfield.detectors.weights": ("load_weights", "save_weights"),
 }
+_old_name = old_names(__name__, Kind="DetectorSpec")
 _MODULES = {name: module for module, names in _LAZY.items() for name in names}
 
 __all__ = [
@@ -77,7 +79,7 @@ def __getattr__(name: str) -> Any:
         MissingExtraError: If torch is not installed and the name needs it.
     """
     if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return _old_name(name)
     try:
         return getattr(import_module(_MODULES[name]), name)
     except ModuleNotFoundError as error:

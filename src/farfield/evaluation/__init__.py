@@ -6,6 +6,7 @@ from farfield.evaluation.ground_truth import (
     detections_from_boxes,
     in_coordinates,
     read_detections,
+    with_conditions,
 )
 from farfield.evaluation.views import as_trained, suitable_clouds
 
@@ -21,4 +22,5 @@ __all__ = [
     "plan_detection",
     "read_detections",
     "suitable_clouds",
+    "with_conditions",
 ]

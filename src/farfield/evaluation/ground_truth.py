@@ -12,7 +12,8 @@ from farfield.errors import ConfigError
 from farfield.evaluation.detecting import check_new_key, label_facts, points_in_boxes, with_point_count
 from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.metrics.box_files import read, read_predictions
-from farfield.metrics.detections import Detections
+from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
+from farfield.metrics.kradar.conditions import read_conditions
 from farfield.metrics.sanity import sanity_warnings
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -152,3 +153,25 @@ def in_coordinates(data: Dataset, reference: str) -> Dataset:
             f"{references}. Write the boxes anew in one of these (farfield predict ... --reference {own})"
         )
     return data.mapped(Coordinates(reference))
+
+
+def with_conditions(detections: Detections, protocol: Protocol, source: Path | str) -> Detections:
+    """Detections with weather, road and time by frame, and a note on the sequences without.
+
+    Args:
+        detections: Detections whose annotated frames are looked up.
+        protocol: By which they will be scored.
+        source: A CSV with the columns sequence, road, time, weather; a K-Radar tree with its description.txt files; or
+            the word ``"published"`` for the table of K-Radar's 58 sequences.
+
+    Raises:
+        ConfigError: If the protocol does not score by condition, or there is no such source.
+    """
+    if "conditions" not in protocol.uses:
+        usable = [name for name in PROTOCOLS.names() if not PROTOCOLS.broken(name)]
+        able = [name for name in usable if "conditions" in PROTOCOLS[name].uses]
+        raise ConfigError(f"--conditions: only {' and '.join(able)} score by condition, not {protocol}")
+    conditions = read_conditions(str(source), detections.annotations)
+    missing = sorted({key[0] for key in detections.annotations if key not in conditions})
+    note = f"no conditions for sequences {', '.join(missing[:8])}: their frames count in the whole alone"
+    return replace(detections, conditions=conditions, notes=(*detections.notes, *([note] if missing else [])))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.errors import ConfigError
 from farfield.simulation.rig import RIGS
+from farfield.vocabulary.conditions import Side, Time, Weather
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
@@ -20,43 +21,43 @@ SWEEP_PERIOD_S = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions:
-    """What to simulate and where to write it.
+    """How a preset is written: the flags of ``farfield simulate`` and the keywords of :func:`farfield.simulate`.
 
     Args:
-        preset: What to simulate: a preset's name; raw recordings take a preset too.
-        out: Folder to write into; made if absent.
-        frames: Number of frames in all, spread evenly over the sequences; the preset's own if None. Of a raw recording
-            the sweeps of each LiDAR in all, 10 a second.
-        sequences: Number of sequences; the preset's own if None.
-        sensors: What to write, as names or as one text with commas; the preset's own if None, of a raw recording all.
+        frames: Number of frames in all, spread evenly over the sequences; the preset's own unless given.
+        sequences: Number of sequences, each another road with other traffic; the preset's own unless given.
+        sensors: What to write, separated by commas. Cirrus: gaussian, uniform, camera. K-Radar: os2-64, os1-128,
+            cam-front, cam-left, cam-right, cam-rear, cells (the radar's cells in the wide region, to train on), sparse,
+            polar3d, cube, tesseract (260 MB a frame). RADIATE: polar, cartesian.
         weather: Put every sequence into this weather; several with commas between take turns.
-        time: Put every sequence into this time of day, "day" or "night".
-        seed: The preset's own if None.
-        stride_s: Seconds between frames of a sequence, at most 1; the preset's own if None. Not for raw recordings.
-        uniform_offset_ms: How much later the uniform pattern is measured, in every sequence.
-        traffic: On which side traffic keeps, "right" or "left"; the preset's own if None. Not for raw recordings.
-        workers: Processes; 0 takes as many as there are cores, units of work and memory for.
-        engine: Where the work is done: a name of ``farfield.jobs.ENGINES``.
-        cache: Also write the binary cache that makes reading fast. Not for raw recordings.
-        raw: Write the raw streams of each drive, in bags, instead of frames.
-        dry_run: Report what would be done, and do nothing.
+        time: Put every sequence into this time of day.
+        seed: Another seed gives another world; the preset's own unless given.
+        stride_s: Seconds between frames of a sequence, at most 1; the preset's own unless given. Not with --recording.
+        uniform_offset_ms: How much later the uniform pattern is taken, in every sequence; 0 is the ideal pair.
+        traffic: On which side it keeps; the left is the mirror image of the right. The preset's own unless given. Not
+            with --recording.
+        workers: Processes; 0 takes as many as there are cores, frames and memory for.
+        engine: Where the frames are simulated: local, or an installed engine's name.
+        cache: Also write the binary cache that makes reading fast (Cirrus). Not with --recording.
+        recording: Write the raw streams of each drive of the Cirrus car instead of frames: a ROS 2 bag (MCAP) with the
+            LiDARs at 10 Hz, the camera at 30 Hz (320 pixels wide), two IMUs at 100 Hz, GPS at 1 Hz and the car's pose,
+            each with a clock of its own, and SEQUENCE_truth.json beside. --frames counts sweeps, 10 a second.
+        dry_run: Say what would be written, and write nothing.
     """
 
-    preset: "str | Preset"
-    out: Path
     frames: int | None = None
     sequences: int | None = None
     sensors: str | Sequence[str] | None = None
-    weather: str | None = None
-    time: str | None = None
+    weather: Weather | str | None = None
+    time: Time | None = None
     seed: int | None = None
     stride_s: float | None = None
     uniform_offset_ms: float | None = None
-    traffic: str | None = None
+    traffic: Side | None = None
     workers: int = 0
     engine: str = "local"
     cache: bool = False
-    raw: bool = False
+    recording: bool = False
     dry_run: bool = False
 
     @property
@@ -72,8 +73,12 @@ class RecordingOptions:
         }
         return {name: value for name, value in changes.items() if value is not None}
 
-    def resolve(self) -> "Recording":
+    def resolve(self, preset: "str | Preset", out: Path) -> "Recording":
         """The recording that these options describe.
+
+        Args:
+            preset: What to simulate, or its name.
+            out: Folder to write into; made if absent.
 
         Raises:
             ConfigError: If there is no such preset, sensor or weather, or the options do not go together.
@@ -83,14 +88,14 @@ class RecordingOptions:
         from farfield.simulation.presets import check_sensors
 
         changes = self.preset_changes
-        if self.raw and (self.stride_s is not None or self.cache or self.traffic is not None):
+        if self.recording and (self.stride_s is not None or self.cache or self.traffic is not None):
             raise ConfigError(
                 "--recording: expected neither --stride-s, --cache nor --traffic; the sensors run at their own rates"
             )
-        preset = find_preset(self.preset, **changes) if isinstance(self.preset, str) else self.preset
+        preset = find_preset(preset, **changes) if isinstance(preset, str) else preset
         frozen = preset.name in FROZEN
         # which presets, changes and formats go together
-        if self.raw:
+        if self.recording:
             if preset.rig != "cirrus" or frozen:
                 raise ConfigError(
                     f"--recording: expected a preset of the Cirrus car, not frozen, such as cirrus-sim; got "
@@ -111,16 +116,16 @@ class RecordingOptions:
         sensors = self.sensors
         if isinstance(sensors, str):
             sensors = sensors.replace(" ", "").split(",") if sensors else None
-        default = RIGS[preset.rig].sensors if self.raw else preset.sensors
+        default = RIGS[preset.rig].sensors if self.recording else preset.sensors
         return Recording(
             preset=preset,
             seed=preset.seed if self.seed is None else self.seed,
             sensors=check_sensors(preset, tuple(sensors) if sensors else default),
             plan=frames_of_sequences(preset, self.frames, self.sequences, frozen=frozen),
-            out=self.out,
+            out=out,
             cache=self.cache,
             frozen=frozen,
-            raw=self.raw,
+            raw=self.recording,
         )
 
 

@@ -62,25 +62,19 @@ def record(
         out: Folder to write into; made if absent.
         progress: Wraps the numbers of the frames that are left, to show progress.
         report: Called with each line of what is going to be done and what was done.
-        options: Further fields of :class:`RecordingOptions`, such as ``frames``, ``sensors``, ``weather``, ``workers``.
+        **options: Fields of :class:`RecordingOptions`, such as ``frames``, ``sensors``, ``weather``, ``workers``.
 
     Raises:
         ConfigError: If there is no such preset, sensor or weather, or the options do not go together.
         DatasetError: If the folder holds something else, or the disk has no room.
         BulkError: If the memory does not suffice for so many workers, or frames killed their workers twice.
     """
-    return record_frames(RecordingOptions(preset=preset, out=Path(out), **options), progress=progress, report=report)
-
-
-def record_frames(
-    options: RecordingOptions, *, progress: Progress = iter, report: Callable[[str], object] | None = None
-) -> RecordingSummary:
-    """As :func:`record`, with all options in one object; ``raw`` is for ``recording.raw``."""
     report = report or silent
-    recording = options.resolve()
-    jobs = JobOptions(workers=options.workers, engine=options.engine, progress=progress)
+    chosen = RecordingOptions(**options)
+    recording = chosen.resolve(preset, Path(out))
+    jobs = JobOptions(workers=chosen.workers, engine=chosen.engine, progress=progress)
     work, units = Simulate(recording), units_of(recording)
-    if options.dry_run:
+    if chosen.dry_run:
         for line in announced(recording, len(units), jobs.num_workers(work, len(units))):
             report(line)
         begun = recording.out.is_dir() and any(recording.out.iterdir())

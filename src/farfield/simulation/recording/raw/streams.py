@@ -72,7 +72,7 @@ def record_streams(
         sweeps: Sweeps of each LiDAR in all, 10 a second, spread evenly over the drives; the preset's own if None.
         progress: Wraps the numbers of the files that are left, to show progress.
         report: Called with each line of what is going to be done and what was done.
-        options: Further fields of :class:`~farfield.simulation.recording.RecordingOptions`.
+        **options: Fields of :class:`~farfield.simulation.recording.RecordingOptions`.
 
     Raises:
         ConfigError: If the preset is not of the Cirrus car or is frozen, or the options do not go together.
@@ -80,21 +80,14 @@ def record_streams(
         MissingExtraError: If rosbags is not installed.
         BulkError: If the memory does not suffice for so many workers, or files killed their workers twice.
     """
-    recording = RecordingOptions(preset=preset, out=Path(out), frames=sweeps, raw=True, **options)
-    return record_raw(recording, progress=progress, report=report)
-
-
-def record_raw(
-    options: RecordingOptions, *, progress: Progress = iter, report: Callable[[str], object] | None = None
-) -> RawRecorded:
-    """As :func:`record_streams`, with all options in one object, of which ``raw`` is set."""
     from farfield.files.bag_writing import store
 
     report = report or silent
     store()  # fails at once if rosbags is missing
-    recording = options.resolve()
+    chosen = RecordingOptions(frames=sweeps, recording=True, **options)
+    recording = chosen.resolve(preset, Path(out))
     units, work = units_of(recording), RecordStreams(recording)
-    if options.dry_run:
+    if chosen.dry_run:
         _announce(recording, len(units), len(units), report)
         report(f"{recording.out} gets what it has not yet; nothing is written now")
         return RawRecorded(recording=recording, written=0, bags=(), truths=())
@@ -108,7 +101,7 @@ def record_raw(
         _check_room(recording, missing / len(units))
         _clear(recording)
     # simulate and write the files that are missing
-    jobs = JobOptions(workers=options.workers, engine=options.engine, progress=progress)
+    jobs = JobOptions(workers=chosen.workers, engine=chosen.engine, progress=progress)
     outcome = run(work, units, jobs, journal=journal)
     # the truth of each drive, then what makes its files a bag
     bags, truths = [], []

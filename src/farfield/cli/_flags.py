@@ -1,0 +1,261 @@
+"""Flags that several verbs share, a frozen class a group: how files are read, who works, which boxes, which score."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from farfield.cli._output import bar
+from farfield.errors import ConfigError
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
+    from farfield.jobs import JobOptions
+    from farfield.metrics import Protocol
+
+_UNNAMED = tyro.conf.arg(name="")
+"""The fields of a group are flags without the group's name before them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingFlags:
+    """How a data set's files are read.
+
+    Args:
+        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
+        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
+        roots: Further folders of a K-Radar that is spread over several disks.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
+    """
+
+    mapping: Path | None = None
+    labels: str | None = None
+    roots: tuple[Path, ...] = ()
+    columns: int | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What :func:`farfield.open_dataset` takes of the flags that are set."""
+        options = {
+            "mapping": self.mapping,
+            "labels": self.labels,
+            "roots": self.roots,
+            "bin_columns": self.columns,
+        }
+        return {name: value for name, value in options.items() if value}
+
+    def open(self, path: Path, **options: Any) -> "Dataset":
+        """Open a data set; further options are those of :func:`farfield.open_dataset`, left out where empty."""
+        from farfield.datasets import open_dataset
+
+        further = {name: value for name, value in options.items() if value}
+        return open_dataset(path, **self.options, **further)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobFlags:
+    """Who does the work.
+
+    Args:
+        workers: Processes; 0 takes as many as there are cores, units of work and memory for, one on a GPU.
+        engine: Where the work is done: local, or an installed engine's name.
+    """
+
+    workers: int = 0
+    engine: str = "local"
+
+    def options(self, what: str, *, workers: int | None = None) -> "JobOptions":
+        """What :func:`farfield.jobs.run` takes, with one progress bar over all workers.
+
+        Args:
+            what: The bar's name.
+            workers: Number of processes where the flag is 0.
+        """
+        from farfield.jobs import JobOptions
+
+        return JobOptions(
+            workers=self.workers or (workers or 0),
+            engine=self.engine,
+            progress=partial(bar, what=what, transient=True),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxFlags:
+    """Which of a detector's boxes count; what is not given is the weights' own.
+
+    Args:
+        score_threshold: Boxes below this score are left out; the weights' own threshold unless given.
+        nms_iou: Boxes that overlap a better one by more are left out; the weights' own unless given.
+        max_boxes: Boxes in a frame at most; the weights' own number unless given.
+        classes: Classes to give, comma-separated, such as vehicle,pedestrian; OLD:NEW renames, such as
+            vehicle:Car,bicycle.
+    """
+
+    score_threshold: float | None = None
+    nms_iou: float | None = None
+    max_boxes: int | None = None
+    classes: str = ""
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What :func:`farfield.load_detector` takes."""
+        return {
+            "score_threshold": self.score_threshold,
+            "nms_iou": self.nms_iou,
+            "max_boxes": self.max_boxes,
+            "classes": parse_classes(self.classes, "--classes") if self.classes else None,
+        }
+
+    @property
+    def changed(self) -> dict[str, Any]:
+        """The flags that are set, by name."""
+        return {name: value for name, value in vars(self).items() if value not in (None, "")}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoringFlags:
+    """How boxes are scored: settings of a protocol.
+
+    Args:
+        label: The class that is scored by range; unless given the most frequent one, or with K-Radar's protocols every
+            one.
+        range_bins_m: Edges of the range bins; the protocol's own unless given: 0,70,150,250, for kradar 0,20,40,60,80.
+        epsilons: Values of epsilon in wDDS' omega = exp(epsilon d), where 0 is DDS; for dds 0,0.003,0.006,0.009 unless
+            given, for nuscenes 0.
+        epsilon: The old name of epsilons.
+        region: window: x 0..250, |y| <= 50 m and the outermost bin edges; range: the outermost bin edges; none: all.
+            Unless given window for dds, but none for score's files in KITTI's and nuScenes' formats, and none for the
+            others. For kradar: wide (unless given), narrow, none or six bounds x,x,y,y,z,z in the radar's frame.
+        iou: For tracking: the overlap that a match needs at least; 0.25 unless given.
+        least_track_score: For tracking: tracks whose mean score is lower are left out.
+        label_version: For kradar: the annotation's version, which stands beside the result; the data set's own unless
+            given.
+        options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle, for
+            kradar boxes_in=os2-64 classes=vehicle,pedestrian score_cut=0.3.
+        replicates: Bootstrap replicates of the 95 % intervals; 0 for none.
+        seed: Seed of the bootstrap.
+    """
+
+    label: str | None = None
+    range_bins_m: str | None = None
+    epsilons: str = ""
+    epsilon: str = ""
+    region: str | None = None
+    iou: float | None = None
+    least_track_score: float | None = None
+    label_version: str | None = None
+    options: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    replicates: int = 200
+    seed: int = 0
+
+    def settings(self, protocol: "Protocol") -> dict[str, Any]:
+        """The protocol's settings that are set here, without the label.
+
+        Raises:
+            ConfigError: If a value cannot be read, or the protocol has no such setting.
+        """
+        from farfield.metrics import Bootstrap
+        from farfield.metrics.options import numbers
+
+        own_flags = {*vars(self), "bootstrap"}
+        settings = parse_options(protocol, self.options, tuple(own_flags))
+        if "bootstrap" in protocol.options():
+            settings["bootstrap"] = Bootstrap(replicates=self.replicates, seed=self.seed)
+        epsilons = deprecated("--epsilon", self.epsilon, "--epsilons", self.epsilons)
+        for name, text in (("range_bins_m", self.range_bins_m), ("epsilons", epsilons)):
+            if text:
+                settings[name] = numbers(text, f"--{name.replace('_', '-')}")
+        for name in ("region", "iou", "least_track_score", "label_version"):
+            value = getattr(self, name)
+            if value not in (None, ""):
+                settings[name] = value
+        return settings
+
+
+Reading = Annotated[ReadingFlags, _UNNAMED]
+Jobs = Annotated[JobFlags, _UNNAMED]
+ShownBoxes = Annotated[BoxFlags, _UNNAMED]
+Scoring = Annotated[ScoringFlags, _UNNAMED]
+
+AS_THEY_ARE = ReadingFlags()
+ALL_CORES = JobFlags()
+OWN_BOXES = BoxFlags()
+OWN_SCORING = ScoringFlags()
+
+
+def names(text: str) -> list[str]:
+    """Comma-separated names; none for an empty text."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def parse_pairs(text: str, flag: str) -> dict[str, str]:
+    """Comma-separated pairs ``a:b``.
+
+    Raises:
+        ConfigError: If a word is no such pair, or a name stands twice on one side.
+    """
+    pairs: dict[str, str] = {}
+    for word in names(text):
+        first, colon, second = (part.strip() for part in word.partition(":"))
+        if not (first and colon and second) or first in pairs or second in pairs.values():
+            raise ConfigError(f"{flag}: expected pairs A:B, each name once, got {word!r}")
+        pairs[first] = second
+    return pairs
+
+
+def parse_classes(text: str, flag: str) -> Mapping[str, str]:
+    """Comma-separated words ``name`` or ``old:new`` as a mapping.
+
+    Raises:
+        ConfigError: If a word is neither, or a name stands twice.
+    """
+    classes: dict[str, str] = {}
+    for word in names(text):
+        old, colon, new = (part.strip() for part in word.partition(":"))
+        if not old or (colon and not new) or old in classes:
+            raise ConfigError(f"{flag}: expected each name once, as name or old:new, got {word!r}")
+        classes[old] = new or old
+    return classes
+
+
+def deprecated(old: str, old_value: str, new: str, new_value: str) -> str:
+    """The value of a flag that had another name, with a warning where the old one is used.
+
+    Raises:
+        ConfigError: If both are given.
+    """
+    if not old_value:
+        return new_value
+    if new_value:
+        raise ConfigError(f"{old} is the old name of {new}: give one of them")
+    print(f"warning: {old} is called {new} now; the old name goes with the next version", file=sys.stderr)
+    return old_value
+
+
+def parse_options(protocol: "Protocol", options: Sequence[str], flags: Sequence[str]) -> dict[str, Any]:
+    """Turn ``name=value`` words into settings: numbers, comma lists and ``a:b`` pairs as the setting asks.
+
+    Args:
+        protocol: Whose settings.
+        options: The words.
+        flags: Settings that have a flag of their own.
+
+    Raises:
+        ConfigError: If a word is none of these, or a setting has a flag of its own.
+    """
+    from farfield.metrics.options import read_option
+
+    parsed: dict[str, Any] = {}
+    for option in options:
+        name, equals, text = option.partition("=")
+        if not equals or name in parsed:
+            raise ConfigError(f"--options: expected each name=value once, got {option!r}")
+        if name in flags:
+            raise ConfigError(f"--options: {name} has a flag of its own")
+        parsed[name] = read_option(protocol.Settings, name, text)
+    return parsed
