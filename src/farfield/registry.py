@@ -40,6 +40,19 @@ def _renamed(module: str, names: Mapping[str, str], name: str) -> Any:
     return getattr(import_module(module), names[name])
 
 
+def take_old_methods(cls: type, **names: str) -> None:
+    """Let a subclass override a method by the old name of it for one version, with a warning.
+
+    Args:
+        cls: The subclass, in its base's ``__init_subclass__``.
+        names: New names by the old ones.
+    """
+    for old, new in names.items():
+        if old in vars(cls):
+            warnings.warn(f"{cls.__name__}.{old} is called {new} now", DeprecationWarning, stacklevel=3)
+            setattr(cls, new, vars(cls)[old])
+
+
 _DISPLAYS: dict[str, Callable[[Any], str]] = {}
 
 

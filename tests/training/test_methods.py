@@ -374,3 +374,15 @@ def test_a_module_may_learn_at_a_pace_of_its_own(data: Path, tmp_path: Path) -> 
     assert json.loads((tmp_path / "slow" / "log.jsonl").read_text().splitlines()[-1])["pace"] == 0.0
     plain = found["plain"][0].modules["detector"].state_dict()
     assert all(torch.equal(value, plain[name]) for name, value in slow.modules["detector"].state_dict().items())
+
+
+def test_hooks_of_earlier_names_still_work_with_a_warning() -> None:
+    with pytest.warns(DeprecationWarning, match="begins is called on_train_start now"):
+
+        class Early(Supervised):
+            def begins(self, steps: int, seed: int) -> None:
+                self.course = (steps, seed)
+
+    method = Early(small_detector("pointpillars"))
+    method.on_train_start(3, 1)
+    assert method.course == (3, 1)

@@ -10,13 +10,13 @@ from pydantic import Field
 from torch import Tensor, distributed
 
 from farfield.adaptation.cells import Cells, occupied, z_range_m
-from farfield.adaptation.probes import gradient_norms, gradient_ratio, held_figures, total
+from farfield.adaptation.probes import gradient_norms, gradient_ratio, held_figures
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import process_count, sum_over_processes
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError
-from farfield.training.method import Batch, Method, network_of
+from farfield.training.method import Batch, Method, network_of, total_of
 
 HELD_OUT: Any = Field(
     0,
@@ -102,9 +102,9 @@ class Adaptation(Method):
         """
         if not self.measures(step):
             return
-        own = [loss for name, loss in losses.items() if name not in added]
+        own = {name: loss for name, loss in losses.items() if name not in added}
         norms = gradient_norms(
-            {"detection": total(own), **{name: loss for name, loss in losses.items() if name in added}}, features
+            {"detection": total_of(own), **{name: loss for name, loss in losses.items() if name in added}}, features
         )
         self.note(**norms, gradient_ratio=gradient_ratio(norms))
 

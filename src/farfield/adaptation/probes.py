@@ -1,7 +1,7 @@
 """What tells whether an adaptation does what it should: gradients at the shared features, and a fresh linear probe."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -20,7 +20,7 @@ from farfield.detectors.network import Network
 from farfield.detectors.runtime import Detector
 from farfield.detectors.sparse.cells import SparseTensor
 from farfield.frame import Frame
-from farfield.training.method import Batch, detection_losses
+from farfield.training.method import Batch, detection_losses, total_of
 
 # The same on held-out frames
 
@@ -98,7 +98,7 @@ def _look(method: ValidationProbe, gathered: ProbeFeatures, stream: str, number:
     network = method.reader(stream)
     features = network.encode(frame.inputs)
     if frame.targets:
-        loss = total(detection_losses(network, features, frame.targets).values())
+        loss = total_of(detection_losses(network, features, frame.targets))
         gathered.losses.setdefault(stream, []).append(float(loss))
     for domain, cells in method.domains(features, frame.inputs, stream, number):
         step = max(1, -(-len(cells) // _ROWS))
@@ -111,12 +111,6 @@ def _look(method: ValidationProbe, gathered: ProbeFeatures, stream: str, number:
 
 
 _PROBE_STEPS, _PROBE_RATE, _PROBE_DECAY = 200, 0.05, 1e-3
-
-
-def total(losses: Iterable[Tensor]) -> Tensor:
-    """The sum of some losses, at least one."""
-    first, *others = losses
-    return sum(others, start=first)
 
 
 def shared_values(features: Features) -> Tensor:

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from farfield.adaptation.base import HELD_OUT, Adaptation, weighted_losses
 from farfield.adaptation.cells import Cells, shown
 from farfield.adaptation.networks import start_from, with_own_statistics
-from farfield.adaptation.probes import gradient_norms, total
+from farfield.adaptation.probes import gradient_norms
 from farfield.adaptation.pseudo_labels import (
     PseudoLabels,
     Score,
@@ -34,7 +34,16 @@ from farfield.detectors.inputs import Inputs
 from farfield.detectors.losses import process_count, sum_over_processes
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError, FarfieldError
-from farfield.training.method import DETECTOR, Batch, MethodSettings, Stream, detection_losses, network_of, settings_of
+from farfield.training.method import (
+    DETECTOR,
+    Batch,
+    MethodSettings,
+    Stream,
+    detection_losses,
+    network_of,
+    settings_of,
+    total_of,
+)
 from farfield.training.weather import check_weather
 
 _SOURCE, _TARGET, _TEACHER, _COUNTS = "source", "target", "teacher", "counts"
@@ -170,8 +179,10 @@ class MeanTeacher(Adaptation):
         """Keep the norms of both domains' gradients, and variance and rank of their features."""
         if not self.measures(step):
             return
-        both = {name: [loss for part, loss in losses.items() if part.startswith(name)] for name in (_SOURCE, _TARGET)}
-        self.note(**gradient_norms({name: total(parts) for name, parts in both.items() if parts}, [source, target]))
+        both = {
+            name: {part: loss for part, loss in losses.items() if part.startswith(name)} for name in (_SOURCE, _TARGET)
+        }
+        self.note(**gradient_norms({name: total_of(parts) for name, parts in both.items() if parts}, [source, target]))
         for name, features, clouds in ((_SOURCE, source, inputs), (_TARGET, target, view)):
             self.note(**{name: shown(features, self.occupied(features, clouds))})
 

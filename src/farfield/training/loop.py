@@ -6,7 +6,8 @@ checkpoint. What a method does in a step is its own (:mod:`farfield.training.met
 
 import json
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -112,55 +113,60 @@ class Training:
             The path of the weights: an exponential average over the last steps.
         """
         fabric = self._start(report)
-        try:
-            with stop_signals() as stop:
-                # 1. Sample: frames of each stream, changed at random by position alone
-                for samples in self._batches(fabric):
-                    set_rates(self._optimizer, one_cycle(self.step, self.config))
-                    with fitting(_TOO_LARGE):
-                        self._seed_torch(fabric.global_rank)
-                        batch = {name: to_batch(part, fabric) for name, part in samples.items()}
-                        with fabric.autocast():
-                            # A method whose players take turns minimises by itself, as often as it likes
-                            turns = self.method.step(batch, self.step, self._minimise)
-                            # 2. Forward and 3. losses: the method's
-                            losses = self.method.losses(batch, self.step) if turns is None else turns
-                        if turns is None:
-                            # 4. Backward, 5. clip, 6. step
-                            self._minimise(losses, tuple(self.modules))
-                        figures = _mean_over_processes(losses, fabric)
-                    # 7. Average: of weights and statistics, and a teacher's
-                    frozen = [f"{DETECTOR}.{part}" for part in self._frozen or ()]
-                    decay = self.config.average_decay
-                    follow(self._average, self.modules.state_dict(), step=self.step, decay=decay, frozen=frozen)
-                    self.method.after_step(self.step)
-                    self.step += 1
-                    self._freeze()
-                    stopped = stop.requested(fabric.device)
-                    held = {} if stopped else self._inspect(fabric)
-                    if fabric.is_global_zero:
-                        # 8. Validate: the averaged weights, where it is due
-                        held = held if stopped else {**held, **self._validate()}
-                        # 9. Log
-                        self._log(figures, held)
-                        # 10. Checkpoint: now and then, and as the run stops
-                        if stopped or time.monotonic() - self._saved_s > self.config.checkpoint_every_s:
-                            self._save()
-                    if stopped:
-                        fabric.barrier()
-                        self._report.say(
-                            f"stopped after step {self.step} of {self.config.steps}; {self.checkpoint_path} keeps it"
-                        )
-                        stop.follow()
-        except BaseException:
-            self._report.on_train_end(None)
-            raise
+        with self._interruption_reported(), stop_signals() as stop:
+            # 1. Sample: frames of each stream, changed at random by position alone
+            for samples in self._batches(fabric):
+                set_rates(self._optimizer, one_cycle(self.step, self.config))
+                with fitting(_TOO_LARGE):
+                    self._seed_torch(fabric.global_rank)
+                    batch = {name: to_batch(part, fabric) for name, part in samples.items()}
+                    with fabric.autocast():
+                        # A method whose players take turns minimises by itself, as often as it likes
+                        turns = self.method.step(batch, self.step, self._minimise)
+                        # 2. Forward and 3. losses: the method's
+                        losses = self.method.losses(batch, self.step) if turns is None else turns
+                    if turns is None:
+                        # 4. Backward, 5. clip, 6. step
+                        self._minimise(losses, tuple(self.modules))
+                    figures = _mean_over_processes(losses, fabric)
+                # 7. Average: of weights and statistics, and a teacher's
+                frozen = [f"{DETECTOR}.{part}" for part in self._frozen or ()]
+                decay = self.config.average_decay
+                follow(self._average, self.modules.state_dict(), step=self.step, decay=decay, frozen=frozen)
+                self.method.after_step(self.step)
+                self.step += 1
+                self._freeze()
+                stopped = stop.requested(fabric.device)
+                held = {} if stopped else self._inspect(fabric)
+                if fabric.is_global_zero:
+                    # 8. Validate: the averaged weights, where it is due
+                    held = held if stopped else {**held, **self._validate()}
+                    # 9. Log
+                    self._log(figures, held)
+                    # 10. Checkpoint: now and then, and as the run stops
+                    if stopped or time.monotonic() - self._saved_s > self.config.checkpoint_every_s:
+                        self._save()
+                if stopped:
+                    fabric.barrier()
+                    self._report.say(
+                        f"stopped after step {self.step} of {self.config.steps}; {self.checkpoint_path} keeps it"
+                    )
+                    stop.follow()
         if fabric.is_global_zero:
             self._save()
             self._export()
         fabric.barrier()
         self._report.on_train_end(self.weights_path)
         return self.weights_path
+
+    @contextmanager
+    def _interruption_reported(self) -> Iterator[None]:
+        """Let the report know of a training that ends by an error or a signal."""
+        try:
+            yield
+        except BaseException:
+            self._report.on_train_end(None)
+            raise
 
     def _minimise(self, losses: Mapping[str, Tensor], names: Collection[str]) -> None:
         """Steps 4 to 6: minimise the sum of the losses over the parameters of some modules."""

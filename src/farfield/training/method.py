@@ -3,7 +3,6 @@
 The loop owns the rest: optimiser, schedule, averages, checkpoints, processes.
 """
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from farfield.detectors.inputs import Inputs
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError, fault_of
 from farfield.geometry.boxes import Boxes
-from farfield.registry import Registry
+from farfield.registry import Registry, take_old_methods
 
 DETECTOR = "detector"
 """Name of the module that becomes the detector's weights file."""
@@ -99,10 +98,7 @@ class Method(ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        for old, new in (("begins", "on_train_start"), ("paces", "param_groups")):
-            if old in vars(cls):
-                warnings.warn(f"{cls.__name__}: the hook {old} is called {new} now", DeprecationWarning, stacklevel=2)
-                setattr(cls, new, vars(cls)[old])
+        take_old_methods(cls, begins="on_train_start", paces="param_groups")
 
     @abstractmethod
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:

@@ -1,11 +1,18 @@
-"""What a running training says, and to whom: nothing by default."""
+"""What a running training reports, and to whom: nothing by default."""
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
+
+from farfield.registry import take_old_methods
 
 
 class TrainingReport:
     """Receives the course of a training, in the first process only; a subclass shows what it likes."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        take_old_methods(cls, begins="on_train_start", ends="on_train_end")
 
     def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:
         """Wrap the numbers of frames that are read or simulated before the first step, to show progress."""
