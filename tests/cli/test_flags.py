@@ -17,7 +17,7 @@ def types_of(flag: str) -> dict[str, set[str]]:
     types: dict[str, set[str]] = {}
     for verb in VERBS:
         for argument in arguments_of(verb):
-            if argument.option_strings and argument.dest.rpartition(".")[2] == flag:
+            if argument.option_strings and argument.dest.rpartition(".")[2].replace("-", "_") == flag:
                 kind = str(argument.metavar or type(argument).__name__).removeprefix("{None}|")
                 types.setdefault(kind, set()).add(verb)
     return types
