@@ -101,12 +101,12 @@ def main(arguments: list[str] | None = None) -> int:
     except FarfieldError as error:
         if verbose:
             traceback.print_exc()
-        told = str(error)
+        message = str(error)
     except ImportError as error:
         missing = MissingExtraError.of(error, f"farfield {verb}")
         if missing is None:
             raise
-        told = str(missing)
+        message = str(missing)
     except KeyboardInterrupt:
         print(f"farfield {verb}: interrupted", file=sys.stderr)
         return 130
@@ -114,9 +114,9 @@ def main(arguments: list[str] | None = None) -> int:
         _forget_output()
         return 141
     except OSError as error:
-        told = _refused(error)
+        message = _refused(error)
         _forget_output()
-    print(f"farfield {verb}: {told}", file=sys.stderr)
+    print(f"farfield {verb}: {message}", file=sys.stderr)
     return 1
 
 

@@ -67,7 +67,7 @@ class LineReport(TrainingReport):
         """Each loss on average over the last steps."""
         names = dict.fromkeys(name for losses in self.recent for name in losses)
         values = {name: [losses[name] for losses in self.recent if name in losses] for name in names}
-        return " ".join(f"{name} {sum(each) / len(each):.3f}" for name, each in values.items())
+        return " ".join(f"{name} {sum(numbers) / len(numbers):.3f}" for name, numbers in values.items())
 
     def on_train_end(self, weights: Path | None) -> None:
         """Write the run's page; name it, the weights, and what to do with them."""

@@ -84,7 +84,7 @@ def run(
     folder = out or Path("runs") / f"adapted-{opened.root.name}"
     console = Console(stderr=True)
     kind = _Bars if console.is_terminal else _Lines
-    given: dict[str, Any] = {
+    choices: dict[str, Any] = {
         "source": source,
         "labels": None if labels is None else reading.open(labels, rotate_deg=rotate_deg),
         "clouds": tuple(names(clouds)),
@@ -100,7 +100,7 @@ def run(
     if dry_run:
         from farfield.experiments.adapting import dry_run
 
-        for line in dry_run(detector, opened, out=folder, **given):
+        for line in dry_run(detector, opened, out=folder, **choices):
             print(line)
         would_write("weights, report.html and what each round needs to go on", folder)
         return 0
@@ -108,7 +108,7 @@ def run(
         detector,
         opened,
         out=folder,
-        **given,
+        **choices,
         bulk=jobs.options("searching"),
         report=kind(console, folder, 20),
         overwrite=overwrite,

@@ -62,12 +62,12 @@ def run(
         print(f"Number plates stay as they are: {chosen.without_plates()}")
     if dry_run:
         check_apart(sources.root, out)
-        pictures = [sources.root / file for each in sources.folders for file in each.files]
+        pictures = [sources.root / file for folder in sources.folders for file in folder.files]
         films = [sources.root / file for file in sources.films]
         counts = f"{len(pictures)} pictures of {len(sources.folders)} folders and {len(films)} films, covered,"
         would_write(counts, out, from_files([*pictures, *films]))
         return
-    done = anonymise(
+    summaries = anonymise(
         sources,
         out,
         chosen,
@@ -76,10 +76,11 @@ def run(
         find=jobs.options("finding"),
         cover=jobs.options("covering"),
     )
-    write_privacy_page(out / "anonymized.html", out, done, title=f"Covered: {path.name or path}")
-    kinds, doubtful = [row["kind"] for each in done for row in each.rows], sum(len(each.doubtful) for each in done)
-    if series == "time" and not all(each.stamped for each in sources.folders):
+    write_privacy_page(out / "anonymized.html", out, summaries, title=f"Covered: {path.name or path}")
+    kinds = [row["kind"] for summary in summaries for row in summary.rows]
+    doubtful = sum(len(summary.doubtful) for summary in summaries)
+    if series == "time" and not all(folder.stamped for folder in sources.folders):
         print("Names are no stamps: pictures of a folder count as 0.1 s apart, or give --series single.")
-    found = f"{kinds.count('face')} faces and {kinds.count('plate')} number plates covered"
-    counts = f"{len(done)} pictures and frames, {found}, {doubtful} of them doubtful"
+    covered = f"{kinds.count('face')} faces and {kinds.count('plate')} number plates covered"
+    counts = f"{len(summaries)} pictures and frames, {covered}, {doubtful} of them doubtful"
     print(f"{counts}: {out / 'anonymized.html'}")

@@ -91,14 +91,14 @@ def run(
 def _names(names: str, paths: Sequence[Path]) -> tuple[str, str]:
     from farfield.errors import ConfigError
 
-    given = tuple(word.strip() for word in names.split(",")) if names else tuple(path.resolve().name for path in paths)
-    if len(given) != 2 or not all(given):
+    titles = tuple(word.strip() for word in names.split(",")) if names else tuple(path.resolve().name for path in paths)
+    if len(titles) != 2 or not all(titles):
         raise ConfigError(f"--names: expected two names separated by a comma, got {names!r}")
-    if given[0] == given[1]:
-        given = tuple(f"{path.resolve().parent.name}/{name}" for path, name in zip(paths, given, strict=True))
-    if given[0] == given[1]:
-        given = f"A: {given[0]}", f"B: {given[1]}"
-    return given[0], given[1]
+    if titles[0] == titles[1]:
+        titles = tuple(f"{path.resolve().parent.name}/{name}" for path, name in zip(paths, titles, strict=True))
+    if titles[0] == titles[1]:
+        titles = f"A: {titles[0]}", f"B: {titles[1]}"
+    return titles[0], titles[1]
 
 
 def _open(path: Path, mapping: Path | None) -> "Dataset":

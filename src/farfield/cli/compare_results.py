@@ -49,8 +49,8 @@ def run(
     if paper:
         from farfield.figures.tables import paper_table
 
-        found = {entry.name: entry.tree for entry in entries}
-        print(paper_table(found, label=label or "vehicle", figures=figures, by=by), end="")
+        results_by_name = {entry.name: entry.tree for entry in entries}
+        print(paper_table(results_by_name, label=label or "vehicle", figures=figures, by=by), end="")
         return 0
     print(compare(entries, label=label, figures=figures, by=by, separate=separate))
     return 0

@@ -74,14 +74,14 @@ def run(
     if verify and (target is None or to == "cache"):
         raise ConfigError("convert: expected the folder that was written with --verify, got none")
     dataset = reading.open(source, format=format, reference=reference)
-    kept = tuple(name.strip() for name in products.split(","))
-    store = StoreSettings(products=kept, region=region, rate=rate, over=over, doppler=doppler)
+    store_products = tuple(name.strip() for name in products.split(","))
+    store = StoreSettings(products=store_products, region=region, rate=rate, over=over, doppler=doppler)
     if verify and target is not None:
-        found = verify_all(dataset, target, to=to, boxes=boxes, cloud=cloud, store=store)
-        if found:
-            shown = "".join(f"\n  {fault}" for fault in found[:20]) + ("\n  ..." if len(found) > 20 else "")
+        faults = verify_all(dataset, target, to=to, boxes=boxes, cloud=cloud, store=store)
+        if faults:
+            shown = "".join(f"\n  {fault}" for fault in faults[:20]) + ("\n  ..." if len(faults) > 20 else "")
             mend = "Convert again without --verify to mend them."
-            raise DatasetError(f"{target}: expected all to be intact, found {len(found)} that are not. {mend}{shown}")
+            raise DatasetError(f"{target}: expected all to be intact, found {len(faults)} that are not. {mend}{shown}")
         print(f"{len(dataset)} frames: what was written is intact.")
         return
     if dry_run:

@@ -67,14 +67,14 @@ def run(
 
 
 def _frames_by_weather(sequences: int, frames: int) -> str:
-    each = frames // len(_WEATHERS)
-    if frames % len(_WEATHERS) or not 1 <= sequences <= each:
+    frames_a_weather = frames // len(_WEATHERS)
+    if frames % len(_WEATHERS) or not 1 <= sequences <= frames_a_weather:
         raise ConfigError(
             f"--frames: with --radar expected an even number, half of them in each weather and at least one a drive; "
             f"got {frames} frames of {sequences} drives"
         )
     drives = f"{sequences} drive{'' if sequences == 1 else 's'}"
-    return f"{drives} of the K-Radar car, {each} frames in normal weather and the same in sleet"
+    return f"{drives} of the K-Radar car, {frames_a_weather} frames in normal weather and the same in sleet"
 
 
 def _with_lidar(out: Path, sequences: int, frames: int, seed: int) -> int:
@@ -101,14 +101,14 @@ def _with_radar(out: Path, sequences: int, frames: int, seed: int) -> int:
     from farfield.pages.evaluation_page import write_weathers
     from farfield.simulation.recording import record
 
-    began, each = time.monotonic(), frames // len(_WEATHERS)
+    began, frames_a_weather = time.monotonic(), frames // len(_WEATHERS)
     detectors = [load_detector(name) for name in (_RADAR, _LIDAR)]  # what is missing is told before the work
-    folder = out / f"radar-{seed}-{sequences}x{each}"
-    for place, weather in enumerate(_WEATHERS, 1):
-        print(f"{place}/3 simulating: {weather}", flush=True)
+    folder = out / f"radar-{seed}-{sequences}x{frames_a_weather}"
+    for number, weather in enumerate(_WEATHERS, 1):
+        print(f"{number}/3 simulating: {weather}", flush=True)
         record(
             *("kradar-sim", folder / weather),
-            frames=each,
+            frames=frames_a_weather,
             sequences=sequences,
             seed=seed,
             weather=weather,
@@ -119,16 +119,16 @@ def _with_radar(out: Path, sequences: int, frames: int, seed: int) -> int:
         )
         print(flush=True)
     print("3/3 detecting with radar and with LiDAR, scoring, drawing\n", flush=True)
-    kept = out / "radar-evaluation"
+    report_folder = out / "radar-evaluation"
     evaluation = evaluate_weathers(
         detectors,
         {weather: open_dataset(folder / weather) for weather in _WEATHERS},
         title="4D radar and LiDAR on the same simulated drives, in normal weather and in sleet",
         name=f"{folder.name} in normal weather and in sleet",
-        journals=kept,
+        journals=report_folder,
         bulk=JobFlags(workers=1).options("detecting"),
     )
-    page, picture = write_weathers(evaluation, kept, picture=PICTURE)
+    page, picture = write_weathers(evaluation, report_folder, picture=PICTURE)
     print(weather_table(evaluation.results, _WEATHERS))
     print(f"\ndone in {time.monotonic() - began:.0f} s")
     print(f"picture: {picture.resolve()}")

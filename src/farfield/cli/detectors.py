@@ -65,19 +65,19 @@ def run(
             print(f"\n{entry.broken}")
         elif entry.origin != "farfield":
             print(f"\n{entry.name}: of {entry.origin}")
-    known = figures()
-    if known.get("split"):
+    record = figures()
+    if record.get("split"):
         print(
-            f"\nscores: {known['split']} ({known['sha256'][:12]}), {cloud} clouds, on simulation; equal budget: "
-            f"{known['budget']}; a row with a second one below has the scores of the weights that ship\n"
-            + ("" if measure else f"speed: {known['points']}, {known['machine']}, {known['precision']}\n")
-            + f"recorded {known['date']} at commit {known['commit']}"
+            f"\nscores: {record['split']} ({record['sha256'][:12]}), {cloud} clouds, on simulation; equal budget: "
+            f"{record['budget']}; a row with a second one below has the scores of the weights that ship\n"
+            + ("" if measure else f"speed: {record['points']}, {record['machine']}, {record['precision']}\n")
+            + f"recorded {record['date']} at commit {record['commit']}"
         )
-    _print_weathers(by_weather(), known.get("radar", {}))
+    _print_weathers(by_weather(), record.get("radar", {}))
     print("\ntrain one: farfield train NAME-cirrus-sim, for radar NAME*-kradar-sim; farfield experiments lists them")
     print("use one: farfield predict WEIGHTS DATA")
     if json is not None:
-        write_json(json, {**known, "detectors": [asdict(entry) for entry in entries]})
+        write_json(json, {**record, "detectors": [asdict(entry) for entry in entries]})
     return 0
 
 

@@ -69,17 +69,17 @@ def run(
     folder = out or Path("runs") / f"odometry-{name}"
     opened = reading.open(data)
     if drives:
-        known = opened.drive_indices()
-        absent = [each for each in drives if each not in known]
+        indices_by_drive = opened.drive_indices()
+        absent = [drive for drive in drives if drive not in indices_by_drive]
         if absent:
-            raise ConfigError(f"--drives: expected some of {', '.join(known)}; got {absent[0]!r}")
-        opened = opened.select([int(index) for each in drives for index in known[each]])
+            raise ConfigError(f"--drives: expected some of {', '.join(indices_by_drive)}; got {absent[0]!r}")
+        opened = opened.select([int(index) for drive in drives for index in indices_by_drive[drive]])
     if dry_run:
         count = len(opened.drives())
         what = f"the poses of {len(opened)} sweeps of {count} {'drive' if count == 1 else 'drives'}"
         would_write(what, folder, from_data(opened))
         return 0
-    found = odometry(
+    tracks = odometry(
         opened,
         folder,
         sweeps=SweepSettings(cloud=cloud, deskew=deskew, turning=turning, step_s=step_s),
@@ -88,8 +88,8 @@ def run(
         overwrite=overwrite,
         bulk=jobs.options("placing drives"),
     )
-    write_odometry(folder, found, title=f"Odometry of {name}", picture=picture)
-    for track in found:
+    write_odometry(folder, tracks, title=f"Odometry of {name}", picture=picture)
+    for track in tracks:
         drift = track.drift
         known_drift = "drift not known"
         if drift is not None:

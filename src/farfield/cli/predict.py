@@ -88,11 +88,11 @@ def run(
     bulk = jobs.options("detecting", workers=int(loaded.device.type != "cpu"))
     chosen = partial(plan_detection, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
     prepared = chosen()
-    own, seen = frames[0], prepared.task.seen[0]
-    if reference and reference not in (own.reference, seen.reference):
-        known = " or ".join(dict.fromkeys((own.reference, seen.reference)))
-        raise ConfigError(f"--reference: expected {known}, got {reference!r}")
-    shown = prepared.task.seen if reference == seen.reference else frames
+    own, view = frames[0], prepared.task.seen[0]
+    if reference and reference not in (own.reference, view.reference):
+        references = " or ".join(dict.fromkeys((own.reference, view.reference)))
+        raise ConfigError(f"--reference: expected {references}, got {reference!r}")
+    shown = prepared.task.seen if reference == view.reference else frames
     prepared = prepared if shown is prepared.task.seen else chosen(in_own=True)
     if dry_run:
         shown[0].cloud(cloud or suitable_clouds(loaded.info, shown[0])[0])  # reads it, or says why it cannot
@@ -101,25 +101,27 @@ def run(
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         sweep_out_file(out)
-    found = _CountedPredictions(frames.keys, prepared.detections())
+    predictions = _CountedPredictions(frames.keys, prepared.detections())
     if out is not None and journal is not None:
         results = ResultWriter(chosen_format, shown, frames.keys, loaded.kind)
-        results.write(out, found)
+        results.write(out, predictions)
         journal.unlink(missing_ok=True)
         print("".join(f"note: {note}\n" for note in results.notes), end="")
         least = loaded.config.score_threshold
-        print(f"{found.count} boxes of score {least:g} or more in {len(frames)} frames{_WORDS[chosen_format]}: {out}")
-        if not found.count:
+        print(
+            f"{predictions.count} boxes of score {least:g} or more in {len(frames)} frames{_WORDS[chosen_format]}: {out}"
+        )
+        if not predictions.count:
             print("note: nothing was found; farfield doctor FOLDER says whether units, axes and intensities suit")
     else:
-        for text in format_boxes_csv_parts(rows_of(found, shown[0].reference)):
+        for text in format_boxes_csv_parts(rows_of(predictions, shown[0].reference)):
             sys.stdout.write(text)
     if picture is not None:
-        _draw(picture, shown[0], found.first, boxes.score_threshold)
+        _draw(picture, shown[0], predictions.first, boxes.score_threshold)
     return 0
 
 
-def _draw(path: Path, frame: "Frame", found: "Boxes | None", least: float | None) -> None:
+def _draw(path: Path, frame: "Frame", predictions: "Boxes | None", least: float | None) -> None:
     """The frame from above, and each camera's image with the boxes projected into it, beside one another as files."""
     from farfield.api import show
     from farfield.datasets.labels.json_labels import file_name
@@ -129,9 +131,9 @@ def _draw(path: Path, frame: "Frame", found: "Boxes | None", least: float | None
 
     path.parent.mkdir(parents=True, exist_ok=True)
     shown_score = SHOWN_SCORE if least is None else least
-    show(frame, found, shown_score=shown_score).savefig(path, dpi=120)
+    show(frame, predictions, shown_score=shown_score).savefig(path, dpi=120)
     print(f"picture: {path}")
-    boxes, left_out = shown_predictions(found, shown_score)
+    boxes, left_out = shown_predictions(predictions, shown_score)
     for name in frame.images:
         camera = frame.cameras.get(name)
         if camera is None:

@@ -57,13 +57,13 @@ def run(
     if not frames:
         raise ConfigError("--frames: expected one number or more, got none")
     data = reading.open(path, format="kradar", reference="radar")
-    look = partial(look_at, data, kind=cfar, false_alarm=false_alarm, doppler=doppler, camera=camera)
-    looks = [look(index, speed_m_s=speed, turn_deg_s=turn) for index in bar(frames, "frames")]
+    reduce = partial(look_at, data, kind=cfar, false_alarm=false_alarm, doppler=doppler, camera=camera)
+    looks = [reduce(index, speed_m_s=speed, turn_deg_s=turn) for index in bar(frames, "frames")]
     name = path.resolve().name
     page, pictures = write_radar(out or Path("runs") / f"radar-{name}", looks, title=f"Radar frames of {name}")
-    for each, picture in zip(looks, pictures, strict=True):
-        echoes = each.views.echoes
-        found = "no polar map: no echoes" if echoes is None else f"{len(echoes):,} echoes"
-        print(f"{each.key[0]} {each.key[1]}: {found}; {picture}")
+    for look, picture in zip(looks, pictures, strict=True):
+        echoes = look.views.echoes
+        detected = "no polar map: no echoes" if echoes is None else f"{len(echoes):,} echoes"
+        print(f"{look.key[0]} {look.key[1]}: {detected}; {picture}")
     print(f"report: {page.resolve()}")
     return 0

@@ -89,17 +89,17 @@ def _film(
     from farfield.metrics.box_files import read_predictions
     from farfield.pages.film import FilmSettings, drive_named, make_film
 
-    given = None if predictions is None else read_predictions(predictions[0], format=predictions[1])
-    data = in_coordinates(open_dataset(root), "" if given is None else given.reference)
-    found = drive_named(data, drive)
+    predicted = None if predictions is None else read_predictions(predictions[0], format=predictions[1])
+    data = in_coordinates(open_dataset(root), "" if predicted is None else predicted.reference)
+    drive_shown = drive_named(data, drive)
     if frames:
-        data = data.select([int(index) for index in found.indices[:frames]])
+        data = data.select([int(index) for index in drive_shown.indices[:frames]])
     reach_m, rate_hz, score = shown
     count = make_film(
         film,
         data,
-        drive=found.name,
-        predictions=None if given is None else given.boxes,
+        drive=drive_shown.name,
+        predictions=None if predicted is None else predicted.boxes,
         settings=FilmSettings(reach_m=reach_m, rate_hz=rate_hz, score=score),
         bulk=jobs.options("drawing"),
     )

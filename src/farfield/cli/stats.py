@@ -53,10 +53,10 @@ def run(
         raise ConfigError(f"--sweeps: expected 0 (annotations alone) or more, got {sweeps}")
     dataset = reading.open(path, format=format)
     called = name or path.resolve().name
-    found = _count(dataset, called, path, sweeps, jobs)
+    figures = _count(dataset, called, path, sweeps, jobs)
     folder = out or Path("runs") / f"stats-{called}".replace(" ", "_")
-    page = write_statistics(folder, found)
-    _print(found)
+    page = write_statistics(folder, figures)
+    _print(figures)
     if json is not None:
         write_json(json, read_json(folder / "statistics.json"))
     print(f"written: {folder / 'statistics.json'}, {folder / 'figures'}\nreport: {page.resolve()}")
@@ -85,28 +85,28 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, jobs: JobFl
     )
 
 
-def _print(found: "DatasetFigures") -> None:
+def _print(figures: "DatasetFigures") -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     from farfield.pages.dataset_pages import tables
 
-    census, console = found.census, Console(width=None if sys.stdout.isatty() else 160)
+    census, console = figures.census, Console(width=None if sys.stdout.isatty() else 160)
     annotated = f"{census['annotated_frames']:,} annotated, {census['empty_frames']:,} of them empty"
-    console.print(f"{found.format}: {census['frames']:,} frames of {census['sequences']} sequences, {annotated}")
+    console.print(f"{figures.format}: {census['frames']:,} frames of {census['sequences']} sequences, {annotated}")
     for kind, counts in census["frames_by"].items():
         console.print(f"{kind}: " + ", ".join(f"{name} {count:,}" for name, count in counts.items()))
     for title, heads, rows in tables(census):
         if title == "Sequences" and len(rows) > 1:
             continue  # on the page
         table = Table(title=title, title_justify="left")
-        for place, head in enumerate(heads):
-            table.add_column(head, justify="right" if place else "left", overflow="fold")
+        for column, head in enumerate(heads):
+            table.add_column(head, justify="right" if column else "left", overflow="fold")
         for row in rows:
             table.add_row(*map(Text, row))
         console.print(table)
-    for text in found.notes:
+    for text in figures.notes:
         console.print(f"note: {text}")
     for text in census["damaged"][:10]:
         console.print(Text(f"damaged: {text}"))

@@ -52,25 +52,25 @@ def run(
     folder = out or Path("runs") / f"sync-{name}"
     read = recordings(path, unit=unit, stamp=stamp)
     if dry_run:
-        streams = [describe(each) for each in read]
+        streams = [describe(recording) for recording in read]
         for recording, described in zip(read, streams, strict=True):
             reference_of(recording.name, described, to)
         messages = sum(health.count for described in streams for health in described.values())
         would_write(f"the matches of {messages:,} messages of {sum(map(len, streams))} streams", folder)
         return 0
-    found = write_synchronised(
+    synchronised = write_synchronised(
         folder,
         read,
         to=to,
         tolerance_ns=tolerance_ns,
         title=f"Synchronisation of {name}",
     )
-    for each in found:
-        print(f"{each.name}: matched to {each.reference}, {each.streams[each.reference].count:,} messages")
-        for stream, pair in each.pairs.items():
+    for drive in synchronised:
+        print(f"{drive.name}: matched to {drive.reference}, {drive.streams[drive.reference].count:,} messages")
+        for stream, pair in drive.pairs.items():
             clock = pair.clock
             drift = "" if clock is None else f", drift {clock.drift_ppm:.3f} ± {clock.drift_se_ppm:.3f} ppm"
             print(f"  {stream}: {pair.matched:,} matched, worst {pair.worst_ns / 1e6:.3f} ms{drift}")
-        print("".join(f"  note: {finding}\n" for finding in each.findings), end="")
+        print("".join(f"  note: {finding}\n" for finding in drive.findings), end="")
     print(f"report: {(folder / 'sync.html').resolve()}")
     return 0

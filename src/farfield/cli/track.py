@@ -77,9 +77,9 @@ def run(
     from farfield.tracking.timeline import with_drives
     from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 
-    given: dict[str, Any] = {"step_s": step_s, "least_score": least_score, "doppler_span_m_s": doppler_span_m_s}
-    given = {name: value for name, value in given.items() if value is not None}
-    given |= {"output": "detection", "report_coasted": False} if smooth else {}
+    changes: dict[str, Any] = {"step_s": step_s, "least_score": least_score, "doppler_span_m_s": doppler_span_m_s}
+    changes = {name: value for name, value in changes.items() if value is not None}
+    changes |= {"output": "detection", "report_coasted": False} if smooth else {}
     kind = format if to == "same" else to
     if kind == "kitti-tracking" and out.is_file():
         raise ConfigError(f"{out}: expected a folder for KITTI's tracking text, found a file")
@@ -90,32 +90,38 @@ def run(
     if picture is not None:
         check_picture(picture)
     preset = "offline" if smooth and preset == "default" else preset
-    seen = read_predictions(detections, format=format)
-    settings = with_options(preset_of(preset).changed(**given), option)
+    predictions = read_predictions(detections, format=format)
+    settings = with_options(preset_of(preset).changed(**changes), option)
     if data is not None:
-        seen = with_drives(seen, in_coordinates(open_dataset(data, poses=poses), seen.reference).drives())
+        predictions = with_drives(
+            predictions, in_coordinates(open_dataset(data, poses=poses), predictions.reference).drives()
+        )
     if dry_run:
-        would_write(f"the tracks of {sum(map(len, seen.boxes.values()))} boxes in {len(seen.boxes)} frames", out)
+        would_write(
+            f"the tracks of {sum(map(len, predictions.boxes.values()))} boxes in {len(predictions.boxes)} frames", out
+        )
         return 0
-    found = track(seen, settings)
+    tracks = track(predictions, settings)
     if join_s is not None:
-        found = join_tracks(found, replace(join_settings(preset), longest_s=join_s), step_s=settings.step_s)
+        tracks = join_tracks(tracks, replace(join_settings(preset), longest_s=join_s), step_s=settings.step_s)
     if smooth:
-        found = smooth_tracks(found, step_s=settings.step_s)
+        tracks = smooth_tracks(tracks, step_s=settings.step_s)
     if least_track_score is not None:
-        found = with_track_score(found, least_track_score)
+        tracks = with_track_score(tracks, least_track_score)
     if kind == "kitti-tracking":
-        write_kitti_tracks(out, found)
+        write_kitti_tracks(out, tracks)
     elif kind == "nuscenes":
-        write_nuscenes_tracks(out, found)
+        write_nuscenes_tracks(out, tracks)
     else:
-        write_tracks_csv(out, found)
+        write_tracks_csv(out, tracks)
     if picture is not None:
-        write_trails(picture, found)
-    print("".join(f"note: {note}\n" for note in found.notes), end="")
-    boxes = sum(map(len, found.boxes.values()))
-    names = {(key[0], name) for key, part in found.boxes.items() if part.track_id is not None for name in part.track_id}
+        write_trails(picture, tracks)
+    print("".join(f"note: {note}\n" for note in tracks.notes), end="")
+    boxes = sum(map(len, tracks.boxes.values()))
+    names = {
+        (key[0], name) for key, part in tracks.boxes.items() if part.track_id is not None for name in part.track_id
+    }
     looked = [word for word, done in (("joined", join_s is not None), ("smoothed", smooth)) if done]
     mode = f"offline ({', '.join(looked)})" if looked else "online"
-    print(f"{preset}, {mode}: {len(names)} tracks, {boxes} boxes in {len(found.boxes)} frames\nwritten: {out}")
+    print(f"{preset}, {mode}: {len(names)} tracks, {boxes} boxes in {len(tracks.boxes)} frames\nwritten: {out}")
     return 0
