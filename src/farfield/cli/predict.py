@@ -109,7 +109,8 @@ def run(
         print("".join(f"note: {note}\n" for note in results.notes), end="")
         least = loaded.config.score_threshold
         print(
-            f"{predictions.count} boxes of score {least:g} or more in {len(frames)} frames{_WORDS[chosen_format]}: {out}"
+            f"{predictions.count} boxes of score {least:g} or more in {len(frames)} frames"
+            f"{_WORDS[chosen_format]}: {out}"
         )
         if not predictions.count:
             print("note: nothing was found; farfield doctor FOLDER says whether units, axes and intensities suit")
