@@ -30,7 +30,7 @@ class Adversarial(MethodSettings):
     lambda_max: float = Field(0.1, ge=0, description="strength of the reversed gradient in the end; 0 is the control")
     form: Form = Field("auto", description="patch for dense maps, rows (each cell for itself) for sparse features")
     loss: Literal["bce", "least_squares"] = "bce"
-    smoothing: float = Field(0.0, ge=0, lt=1, description="of the domain's labels; 0.1 where it is always sure")
+    smoothing: float = Field(0.0, ge=0, lt=1, description="of the domain's labels; 0.1 where it is always right")
     rate: float = Field(0.5, gt=0, description="the discriminator's learning rate over the trunk's")
     clip: float = Field(1.0, gt=0, description="largest norm of the discriminator's own gradient")
     labels: Literal["domain", "coin"] = Field("domain", description="coin: the control, labels by a coin a frame")
@@ -144,7 +144,7 @@ def domain_loss(
 
 @torch.no_grad()
 def balanced_accuracy(logits: Tensor, domain: Tensor) -> Tensor:
-    """Mean over both domains of the share of cells that are told right, over all processes; NaN where one has none."""
+    """Mean over both domains of the share of cells judged right, over all processes; NaN where one has none."""
     right = ((logits > 0).float() == domain).float()
     parts = [part for mask in (1 - domain, domain) for part in ((right * mask).sum(), mask.sum())]
     near, all_near, far, all_far = sum_over_processes(torch.stack(parts))

@@ -33,7 +33,7 @@ _SOURCE, _TARGET, _REST = "source", "target", "rest"
 
 
 class DeviceSettings(MethodSettings):
-    """What the domains share, and how the devices are told apart; all are ours."""
+    """What the domains share, and how a discriminator tells the devices; all are ours."""
 
     adversarial: Adversarial | None = Field(Adversarial(), description="null: both devices, no further loss")
     norm: Literal["shared", "per_domain"] = Field(

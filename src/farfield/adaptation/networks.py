@@ -54,13 +54,13 @@ def with_own_head(network: Network) -> Network:
 
 
 def with_own_statistics(network: Network, *, own_head: bool) -> Network:
-    """A network with the parameters of another, but batch statistics of its own, and, if asked for, its own head.
+    """A network with another's parameters, but batch statistics of its own and, with ``own_head``, its own head.
 
     Statistics by domain, in training and at inference, are DSNorm's (ST3D++, arXiv 2108.06682); scale and shift are
     shared.
 
     Raises:
-        ConfigError: If its own head is asked for and the network's head is no module.
+        ConfigError: If ``own_head`` is set and the network's head is no module.
     """
     own = {id(parameter) for parameter in _head(network).parameters()} if own_head else set()
     shared = {id(parameter): parameter for parameter in network.parameters() if id(parameter) not in own}

@@ -29,7 +29,7 @@ _ROWS = 2048  # features of a frame and a domain that the probe reads
 
 @runtime_checkable
 class ValidationProbe(Protocol):
-    """A method whose domains can be told apart on any frames."""
+    """A method that can say of any frame which cells are of which domain."""
 
     modules: nn.ModuleDict
 
@@ -200,7 +200,7 @@ def fitted_probe(one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
     return weight.detach(), bias.detach()
 
 
-# Features of a trained detector's frames, to be looked at or told apart
+# Features of a trained detector's frames, to be looked at or compared
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

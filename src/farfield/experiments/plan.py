@@ -55,7 +55,7 @@ class Plan:
             The path of the weights.
 
         Raises:
-            DatasetError: If data are not there, or hold none of the clouds or classes asked for.
+            DatasetError: If data are not there, or hold none of the experiment's clouds or classes.
             ConfigError: If the method's streams and the experiment's data do not fit.
         """
         experiment = self.experiment

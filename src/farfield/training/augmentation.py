@@ -129,7 +129,7 @@ class RollingBank:
         self._bank, self._first = ObjectBank(), -1
 
     def at(self, position: int, progress: Progress = iter) -> ObjectBank:
-        """The bank at a position; frames that it did not hold at the position asked for before are read now."""
+        """The bank at a position; frames that it did not hold at the position before are read now."""
         first = position // SAMPLES_PER_FRAME
         if first != self._first:
             numbers = [self.order(position) for position in range(first, first + self.frames)]

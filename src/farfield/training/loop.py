@@ -301,7 +301,7 @@ class Training:
         return groups
 
     def _reestimate_statistics(self, fabric: Fabric) -> None:
-        """Before the first step, batch statistics of the frames that are learnt from, if asked for."""
+        """Before the first step, batch statistics of the frames that are learnt from, if the start says so."""
         settings = self.config.start.statistics if self.config.start is not None else None
         if settings is None or self.step:
             return
@@ -368,7 +368,7 @@ class Training:
 
     @cached_property
     def _board(self) -> Any:
-        """TensorBoard's writer, imported when it is asked for."""
+        """TensorBoard's writer, imported on first use."""
         from torch.utils.tensorboard import SummaryWriter
 
         return SummaryWriter(str(self.folder), purge_step=self.step)

@@ -35,7 +35,7 @@ class TransferReport:
     """What a network took of other weights.
 
     Args:
-        weights: Which ones, as asked for.
+        weights: Which ones, as the experiment names them.
         sha256: Of their file; empty for tensors in memory.
         share: Share of the network's parameters that were taken.
         shares: The same by what was done: ``taken`` whole, ``adapted``, ``by_class``; and ``fresh``.
@@ -431,7 +431,7 @@ def by_average(own: Tensor, other: Tensor, axis: int = 1) -> tuple[Tensor, int, 
 
 
 def by_kernel(own: Tensor, other: Tensor) -> tuple[Tensor, int, str] | None:
-    """A kernel of another odd size, or of two dimensions where three are wanted, laid into the middle.
+    """A kernel of another odd size, or of two dimensions for one of three, laid into the middle.
 
     Args:
         own: A convolution's weights, shape (out, in, *kernel), or a sparse one's, shape (offsets, in, out).

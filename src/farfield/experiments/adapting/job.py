@@ -207,7 +207,7 @@ def check_folder(folder: Path) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptationJob:
-    """One adaptation; what is expensive is made when it is asked for, once.
+    """One adaptation; what is expensive is made on first use, once.
 
     Args:
         start: The detector's weights.

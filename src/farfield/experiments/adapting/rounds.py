@@ -41,7 +41,7 @@ def steps_in(seconds: float, step_s: float, choices: AdaptationOptions, most: in
     """Steps of a round for which the time suffices.
 
     Raises:
-        ConfigError: If it suffices for fewer than 20, or than are wanted: so few move a network's statistics and teach
+        ConfigError: If it suffices for fewer than 20, or than ``most``: so few move a network's statistics and teach
             it next to nothing, which makes it worse.
     """
     fitting = int(_MARGIN * seconds / step_s / choices.rounds)
@@ -123,7 +123,7 @@ def measured_step_s(experiment: Experiment, data: Mapping[str, Dataset], folder:
 
 
 def rare_classes(boxes: Mapping[Key, Boxes], calibration: CalibratedThresholds) -> tuple[str, ...]:
-    """Classes with too few confident pseudo-labels in the target to be taught there: what is found of them is ignored.
+    """Classes with too few confident pseudo-labels in the target: what is detected of them is ignored.
 
     Were their boxes of middling score background, as those of other classes are, a round would unlearn them.
     """

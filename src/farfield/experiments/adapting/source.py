@@ -141,7 +141,7 @@ def source_frames(
 
     Raises:
         ConfigError: If there is nothing to simulate, or no cloud suits the detector.
-        DatasetError: If no frame is annotated, or whole bodies are asked for and not known.
+        DatasetError: If no frame is annotated, or ``whole_bodies`` is set and they are not known.
     """
     simulate = None if labelled is not None else simulation_of(learnt, frames, seed, name)
     path = folder / FOLDER if labelled is None else labelled
