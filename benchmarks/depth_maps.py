@@ -22,10 +22,10 @@ from _report import SHARED_REAL, header, progress
 
 from farfield.api import open_dataset
 from farfield.depth import DepthMap, depth_map
-from farfield.depth.baselines import ip_basic, nearest_depth
-from farfield.depth.frames import cloud_and_camera
+from farfield.depth.completion import ip_basic, nearest_depth
+from farfield.depth.maps import cloud_and_camera
+from farfield.depth.raster import remove_hidden, sparse_depth
 from farfield.depth.rings import ring_numbers
-from farfield.depth.sparse import remove_hidden, sparse_depth
 from farfield.files.atomic import write_text
 from farfield.frame import Camera
 from farfield.metrics.depth import BINS_M, DepthErrors, depth_errors, errors_by_range, mean_of

@@ -9,11 +9,10 @@ import pytest
 from fans import BARREL, camera, directions, onto_plane, true_plane
 from scipy import ndimage
 
-from farfield.depth import METHODS, depth_map, mesh
-from farfield.depth.baselines import ip_basic, nearest_depth
-from farfield.depth.mesh import draw_mesh
+from farfield.depth import METHODS, completion, depth_map
+from farfield.depth.completion import draw_mesh, ip_basic, nearest_depth
+from farfield.depth.raster import remove_hidden, sparse_depth
 from farfield.depth.rings import ring_numbers
-from farfield.depth.sparse import remove_hidden, sparse_depth
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
@@ -232,7 +231,7 @@ REAL = Path(__file__).resolve().parents[2].parent / "shared" / "real" / "kitti"
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real sweeps here")
 def test_a_thinned_real_sweep_is_filled_better_than_by_the_baselines() -> None:
     from farfield.datasets import open_dataset
-    from farfield.depth.frames import cloud_and_camera
+    from farfield.depth.maps import cloud_and_camera
     from farfield.metrics.depth import depth_errors
 
     cloud, lens = cloud_and_camera(open_dataset(REAL)[1])
@@ -285,7 +284,7 @@ def test_meshes_of_both_libraries_are_alike(monkeypatch: pytest.MonkeyPatch, lib
     sparse[rows, columns] = np.linspace(5, 90, 8)
     expected = draw_mesh(sparse, max_edge_px=1e3).depth_m
     if library is None:
-        monkeypatch.setattr(mesh, "find_spec", lambda name: None)
+        monkeypatch.setattr(completion, "find_spec", lambda name: None)
     made = draw_mesh(sparse, max_edge_px=1e3, compiled=False).depth_m
     np.testing.assert_allclose(made, expected, rtol=1e-6)
     assert 0.3 < np.isfinite(made).mean() < 1

@@ -18,7 +18,6 @@ EMPTY_WORDS = {"found", "kept", "seen", "known", "told", "given", "each", "place
 MOST = {
     "cli": 80,
     "datasets": 4,
-    "depth": 17,
     "detectors": 18,
     "errors": 2,
     "evaluation": 6,

@@ -8,7 +8,7 @@ pytest.importorskip("embreex")
 from _true_depth import true_depth
 
 from farfield.depth import depth_map
-from farfield.depth.frames import cloud_and_camera
+from farfield.depth.maps import cloud_and_camera
 from farfield.metrics.depth import depth_errors
 from farfield.simulation.presets import find_preset
 from farfield.simulation.rigs.drive import drive_of

@@ -1,6 +1,5 @@
 """Dense depth maps of cameras from LiDAR sweeps, without learning."""
 
-from farfield.depth.frames import frame_depth
-from farfield.depth.maps import METHODS, DepthMap, depth_map
+from farfield.depth.maps import METHODS, DepthMap, depth_map, frame_depth
 
 __all__ = ["METHODS", "DepthMap", "depth_map", "frame_depth"]

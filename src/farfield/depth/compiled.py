@@ -1,4 +1,4 @@
-"""Drawing the surface between rings, compiled by numba; :mod:`farfield.depth.surface` says the same in numpy.
+"""Drawing depth maps, compiled by numba; :mod:`farfield.depth.rings` says the same in numpy.
 
 ``no_type_check`` keeps runtime type checkers, which tests switch on, out of compiled functions.
 """
@@ -69,8 +69,8 @@ def draw(points, spread, slopes, rows, distortion, fold, focal, depth, doubt):
     cache=True,
 )
 @no_type_check
-def sample(azimuth, points, starts, grid, max_gap, found, spread):
-    """Interpolate each ring at the grid's azimuths; see ``rings._sampled``."""
+def sample(azimuth, points, starts, grid, max_gap, sampled, spread):
+    """Interpolate each ring at the grid's azimuths; see ``rings._sample_ring``."""
     for ring in range(len(starts) - 1):
         after, last = starts[ring] + 1, starts[ring + 1] - 1
         for column in range(len(grid)):
@@ -80,16 +80,16 @@ def sample(azimuth, points, starts, grid, max_gap, found, spread):
             share = (grid[column] - azimuth[after - 1]) / max(gap, 1e-9)
             first, second = points[after - 1], points[after]
             for k in range(4):
-                found[ring, column, k] = first[k] + (second[k] - first[k]) * share
+                sampled[ring, column, k] = first[k] + (second[k] - first[k]) * share
             if gap > max_gap or share < 0 or share > 1:
-                found[ring, column] = np.nan
+                sampled[ring, column] = np.nan
             spread[ring, column] = 2 * min(share, 1 - share) * abs(1 / first[3] - 1 / second[3])
 
 
 @njit("void(float64[:, :, ::1], float64[:, :, ::1], float64[:, :, ::1])", cache=True)
 @no_type_check
-def slopes_of(points, pixels, found):
-    """How 1 / z changes per pixel on each patch, and its least and most; see ``surface._slopes``."""
+def slopes_of(points, pixels, slopes):
+    """How 1 / z changes per pixel on each patch, and its least and most; see ``rings._slopes``."""
     for i in range(points.shape[0] - 1):
         for j in range(points.shape[1] - 1):
             here, right = points[i, j, 3] / points[i, j, 2], points[i, j + 1, 3] / points[i, j + 1, 2]
@@ -102,8 +102,8 @@ def slopes_of(points, pixels, found):
             to_right = ((right - here) * bv - (above - here) * av) / area
             down = ((above - here) * au - (right - here) * bu) / area
             if np.isfinite(to_right) and np.isfinite(down):  # all three corners are there
-                found[i, j, 0], found[i, j, 1] = to_right, down
-                found[i, j, 2], found[i, j, 3] = min(here, right, above), max(here, right, above)
+                slopes[i, j, 0], slopes[i, j, 1] = to_right, down
+                slopes[i, j, 2], slopes[i, j, 3] = min(here, right, above), max(here, right, above)
 
 
 @njit("void(float64[:, ::1], float64[:, ::1], float64, float64, float32[:, :, ::1])", cache=True)
@@ -171,7 +171,7 @@ def blend(channels, half, numbers, depth, doubt):
 @njit("void(int64[:, :, ::1], float64[:, ::1], float64, float64[:, ::1], float64[:, ::1])", cache=True)
 @no_type_check
 def fill(corners, sparse, longest, depth, doubt):
-    """Fill the triangles whose edges' squares are at most ``longest``; see ``mesh._fill``."""
+    """Fill the triangles whose edges' squares are at most ``longest``; see ``completion._fill``."""
     for n in range(len(corners)):
         (x0, y0), (x1, y1), (x2, y2) = corners[n, 0], corners[n, 1], corners[n, 2]
         long = max((x1 - x0) ** 2 + (y1 - y0) ** 2, (x2 - x1) ** 2 + (y2 - y1) ** 2, (x0 - x2) ** 2 + (y0 - y2) ** 2)

@@ -1,23 +1,33 @@
-"""One depth map from one sweep."""
+"""One dense depth map from one sweep, without learning: :func:`depth_map` is the algorithm.
 
-from dataclasses import dataclass
+With rings (``rings``) the sensor's own raster is interpolated and drawn; without (``delaunay`` and the baselines) the
+measured pixels are; then the raster is blended, and what was measured is put back.
+"""
+
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from farfield.depth.baselines import ip_basic, nearest_depth
-from farfield.depth.blending import blend_raster
-from farfield.depth.mesh import draw_mesh
-from farfield.depth.rings import image_span, ring_numbers, rings_keep_elevation, sample_rings
-from farfield.depth.sparse import NEAREST_M, is_visible, remove_hidden, sparse_depth
-from farfield.depth.surface import DepthRaster, draw_surface
-from farfield.errors import ConfigError
+from farfield.depth.completion import draw_mesh, ip_basic, nearest_depth
+from farfield.depth.raster import (
+    NEAREST_M,
+    DepthRaster,
+    blend_raster,
+    is_visible,
+    remove_hidden,
+    sparse_depth,
+)
+from farfield.depth.rings import draw_surface, image_span, ring_numbers, rings_keep_elevation, sample_rings
+from farfield.errors import ConfigError, DatasetError
+from farfield.frame import Cloud, Frame
 from farfield.geometry.cameras import Camera
+from farfield.geometry.poses import invert
 
 Method = Literal["auto", "rings", "delaunay", "ip-basic", "nearest", "sparse"]
 METHODS: tuple[str, ...] = get_args(Method)
-"""``auto`` takes rings where they are known (and keep their elevation: the LiDAR stands where it should) or can be told
+"""``auto`` takes rings where they are known (and keep their elevation: the LiDAR stands where it should) or follow
 from the order of the rows, else delaunay."""
 
 MOST_PIXELS, MOST_RINGS = 40_000_000, 512
@@ -81,11 +91,13 @@ def depth_map(
         ConfigError: If the camera has no size, the method is unknown, or it is rings and there are none.
     """
     if not 0 < camera.width_px * camera.height_px <= MOST_PIXELS:
-        found = f"{camera.width_px} x {camera.height_px}"
-        raise ConfigError(f"depth_map: expected a camera of 1 to {MOST_PIXELS} pixels, got {found}")
+        size = f"{camera.width_px} x {camera.height_px}"
+        raise ConfigError(f"depth_map: expected a camera of 1 to {MOST_PIXELS} pixels, got {size}")
     if method not in METHODS:
         raise ConfigError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-    ring = None if ring is None else _counted(ring)
+
+    # 1. Rings: as given, or told from the order of the rows; none where they do not keep their elevation.
+    ring = None if ring is None else _count_rings(ring)
     if method == "auto" and ring is not None and not rings_keep_elevation(points_m, ring):
         method = "delaunay"
     if method in ("auto", "rings"):
@@ -95,19 +107,23 @@ def depth_map(
                 "method: expected a cloud with the column 'ring', or one whose rows go ring by ring, for rings; got "
                 f"{len(points_m)} points without (or of more than {MOST_RINGS} rings). Take delaunay, or auto."
             )
+
+    # 2. Points before the camera.
     ahead = rows_ahead(points_m, camera)
     points_m, ring = points_m[ahead], None if ring is None else ring[ahead]
+
+    # 3. Interpolate between rings, or between pixels.
     if ring is not None and method in ("auto", "rings"):
         return _from_rings(points_m, ring, camera, max_gap_deg, compiled)
     return _from_pixels(points_m, ring, camera, "delaunay" if method == "auto" else method, max_gap_deg, compiled)
 
 
-def _counted(ring: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"] | None:
+def _count_rings(ring: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"] | None:
     """Rings counted from 0, whatever their names; None where there are too many to be rings."""
     if not len(ring) or (ring.min() >= 0 and ring.max() < MOST_RINGS):
         return ring
-    names, counted = np.unique(ring, return_inverse=True)
-    return counted if len(names) <= MOST_RINGS else None
+    names, numbers = np.unique(ring, return_inverse=True)
+    return numbers if len(names) <= MOST_RINGS else None
 
 
 def rows_ahead(points_m: Float[np.ndarray, "n 3"], camera: Camera) -> Int[np.ndarray, " k"]:
@@ -117,8 +133,8 @@ def rows_ahead(points_m: Float[np.ndarray, "n 3"], camera: Camera) -> Int[np.nda
     pose = camera.camera_T_lidar.astype(points_m.dtype)
     with np.errstate(invalid="ignore"):
         x, z = points_m @ pose[0, :3] + pose[0, 3], points_m @ pose[2, :3] + pose[2, 3]
-        chosen = (z > NEAREST_M) & (x > (low[0] - margin) * z) & (x < (high[0] + margin) * z)
-    rows = np.flatnonzero(chosen)
+        ahead = (z > NEAREST_M) & (x > (low[0] - margin) * z) & (x < (high[0] + margin) * z)
+    rows = np.flatnonzero(ahead)
     return rows[np.isfinite(points_m[rows]).all(axis=1)]
 
 
@@ -129,16 +145,23 @@ def _from_rings(
     max_gap_deg: float,
     compiled: bool | None,
 ) -> DepthMap:
+    # 1. Sample the rings at common azimuths.
+    gap_rad = float(np.radians(max_gap_deg))
+    grid = sample_rings(points_m, ring, camera, step_px=_STEP_PX, max_gap_rad=gap_rad, compiled=compiled)
+
+    # 2. Draw the surface between them.
     low, high = image_span(camera)
     aside = np.cos(np.arctan(np.abs([low[0], high[0]]).max()))  # an angle upwards spans more pixels there
-    step = float(np.clip(_STEP_PX / camera.matrix[1, 1] * aside, *_STEPS_RAD))
-    gap = float(np.radians(max_gap_deg))
-    rings = sample_rings(points_m, ring, camera, step_px=_STEP_PX, max_gap_rad=gap, compiled=compiled)
-    drawn = draw_surface(rings, camera, step_rad=step, max_gap_rad=gap, compiled=compiled)
+    step_rad = float(np.clip(_STEP_PX / camera.matrix[1, 1] * aside, *_STEPS_RAD))
+    drawn = draw_surface(grid, camera, step_rad=step_rad, max_gap_rad=gap_rad, compiled=compiled)
+
+    # 3. Blend.
     filled = blend_raster(drawn, compiled=compiled)
-    points = sparse_depth(points_m, camera)
-    shown = np.isfinite(points) & is_visible(points, filled.depth_m)
-    return _whole(filled, np.where(shown, points, np.inf), "rings")
+
+    # 4. Measured depths that are not hidden.
+    measured_m = sparse_depth(points_m, camera)
+    shown = np.isfinite(measured_m) & is_visible(measured_m, filled.depth_m)
+    return _with_measured(filled, np.where(shown, measured_m, np.inf), "rings")
 
 
 def _from_pixels(
@@ -149,19 +172,21 @@ def _from_pixels(
     max_gap_deg: float,
     compiled: bool | None,
 ) -> DepthMap:
-    window = occlusion_window(points_m, ring, camera)
-    points = sparse_depth(points_m, camera)
+    # 1. Measured depths that are not hidden.
+    measured_m = sparse_depth(points_m, camera)
     if method == "ip-basic":  # its first step prefers near points
-        return _whole(_unsure(ip_basic(points, far_m=max(100.0, _farthest(points) + 1))), points, method, exact=False)
-    points = remove_hidden(points, window)
+        far_m = max(100.0, float(measured_m[np.isfinite(measured_m)].max(initial=0.0)) + 1)
+        return _with_measured(_of_no_doubt(ip_basic(measured_m, far_m=far_m)), measured_m, method, exact=False)
+    measured_m = remove_hidden(measured_m, occlusion_window(points_m, ring, camera))
+
+    # 2. Fill.
     if method == "nearest":
-        return _whole(_unsure(nearest_depth(points)), points, method)
+        return _with_measured(_of_no_doubt(nearest_depth(measured_m)), measured_m, method)
     if method == "sparse":
-        return _whole(DepthRaster(points, np.zeros(points.shape)), points, method)
+        return _with_measured(DepthRaster(measured_m, np.zeros(measured_m.shape)), measured_m, method)
     edge_px = float(np.tan(np.radians(max_gap_deg)) * camera.matrix[0, 0])
-    return _whole(
-        blend_raster(draw_mesh(points, max_edge_px=edge_px, compiled=compiled), compiled=compiled), points, method
-    )
+    drawn = draw_mesh(measured_m, max_edge_px=edge_px, compiled=compiled)
+    return _with_measured(blend_raster(drawn, compiled=compiled), measured_m, method)
 
 
 def occlusion_window(
@@ -178,19 +203,101 @@ def occlusion_window(
     return int(np.clip(rows, 5, 41)) // 2 * 2 + 1, 7
 
 
-def _farthest(depth_m: Float[np.ndarray, "h w"]) -> float:
-    return float(depth_m[np.isfinite(depth_m)].max(initial=0.0))
-
-
-def _unsure(depth_m: Float[np.ndarray, "h w"]) -> DepthRaster:
+def _of_no_doubt(depth_m: Float[np.ndarray, "h w"]) -> DepthRaster:
+    """Depths of a method that knows no uncertainty."""
     return DepthRaster(depth_m, np.full(depth_m.shape, np.nan))
 
 
-def _whole(filled: DepthRaster, points_m: Float[np.ndarray, "h w"], method: str, *, exact: bool = True) -> DepthMap:
+def _with_measured(
+    filled: DepthRaster, measured_m: Float[np.ndarray, "h w"], method: str, *, exact: bool = True
+) -> DepthMap:
     """Put the measured depths where they were measured; inf becomes NaN."""
-    measured = np.isfinite(points_m)
-    depth = np.where(measured, points_m, filled.depth_m) if exact else filled.depth_m
+    measured = np.isfinite(measured_m)
+    depth = np.where(measured, measured_m, filled.depth_m) if exact else filled.depth_m
     doubt = np.where(measured & ~np.isnan(filled.doubt_m), _SENSOR_M, filled.doubt_m)
-    known = np.isfinite(depth)
-    depth, doubt = (np.where(known, part, np.nan).astype(np.float32) for part in (depth, doubt))
+    finite = np.isfinite(depth)
+    depth, doubt = (np.where(finite, part, np.nan).astype(np.float32) for part in (depth, doubt))
     return DepthMap(depth, doubt, measured, method)
+
+
+# The depth map of a frame: which cloud, which camera, and the way from one to the other
+
+
+def frame_depth(
+    frame: Frame,
+    *,
+    cloud: str | None = None,
+    camera: str | None = None,
+    method: Method = "auto",
+    max_gap_deg: float = MAX_GAP_DEG,
+) -> DepthMap:
+    """Make the depth map of one of a frame's cameras from one of its clouds.
+
+    Args:
+        frame: The frame.
+        cloud: Name of the cloud; the first of a LiDAR unless given.
+        camera: Name of the camera; the first calibrated one unless given.
+        method: As of :func:`depth_map`.
+        max_gap_deg: As there.
+
+    Raises:
+        DatasetError: If there is no such cloud or camera, or nothing says how the cloud stands to the camera.
+        ConfigError: As :func:`depth_map`.
+    """
+    points, lens = cloud_and_camera(frame, cloud, camera)
+    ring = points.extra.get("ring")
+    return depth_map(
+        points.points_m,
+        lens,
+        method=method,
+        ring=None if ring is None else ring.astype(np.int64),
+        max_gap_deg=max_gap_deg,
+    )
+
+
+def cloud_and_camera(frame: Frame, cloud: str | None = None, camera: str | None = None) -> tuple[Cloud, Camera]:
+    """A cloud in its sensor's own axes, and a camera whose pose refers to them; see :func:`frame_depth`."""
+    name = _cloud_name(frame, cloud)
+    lens = _camera(frame, camera)
+    points, sensor = frame.cloud(name), frame.sensors.get(name)
+    pose = None if sensor is None else sensor.frame_T_sensor
+    if sensor is not None and not sensor.in_frame:
+        if pose is None:
+            raise DatasetError(
+                f"frame {frame.key}: cloud {name} keeps its sensor's own axes, and nothing says where that stands; "
+                "take another with cloud=, or give the data set the sensor's pose"
+            )
+        return points, replace(lens, camera_T_lidar=lens.camera_T_lidar @ pose)
+    if pose is None:
+        return points, lens
+    return points.transform(invert(pose)), replace(lens, camera_T_lidar=lens.camera_T_lidar @ pose)
+
+
+def _cloud_name(frame: Frame, cloud: str | None) -> str:
+    """The cloud that was named, or the first of a LiDAR."""
+    available = ", ".join(frame.clouds) or "none"
+    if cloud is not None:
+        if cloud not in frame.clouds:
+            raise DatasetError(f"frame {frame.key}: expected cloud {cloud!r}, found {available}")
+        return cloud
+    lidars = [name for name in frame.clouds if name not in frame.sensors or frame.sensors[name].kind == "lidar"]
+    if not lidars:
+        raise DatasetError(f"frame {frame.key}: expected a LiDAR's cloud, found {available}")
+    return lidars[0]
+
+
+def _camera(frame: Frame, camera: str | None) -> Camera:
+    """The camera that was named, or the first calibrated one, with its size."""
+    available = ", ".join(frame.cameras) or "none (Cirrus: name your calibration in the mapping)"
+    if camera is not None and camera not in frame.cameras:
+        raise DatasetError(f"frame {frame.key}: expected calibrated camera {camera!r}, found {available}")
+    name = camera or next(iter(frame.cameras), None)
+    if name is None:
+        raise DatasetError(f"frame {frame.key}: expected a calibrated camera, found {available}")
+    lens = frame.cameras[name]
+    if lens.width_px and lens.height_px:
+        return lens
+    if name not in frame.images:
+        raise DatasetError(f"frame {frame.key}: expected the size of camera {name!r} or its image, found neither")
+    height, width = frame.images[name].shape[:2]
+    return replace(lens, width_px=width, height_px=height)

@@ -9,9 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from farfield.datasets.base import Dataset
-from farfield.depth.frames import cloud_and_camera, frame_depth
-from farfield.depth.maps import MAX_GAP_DEG, Method, rows_ahead
-from farfield.depth.sparse import NEAREST_M
+from farfield.depth.maps import MAX_GAP_DEG, Method, cloud_and_camera, frame_depth, rows_ahead
+from farfield.depth.raster import NEAREST_M
 from farfield.errors import ConfigError
 from farfield.files.atomic import write_text
 from farfield.files.depth_png import FAR_SCALE, KITTI_SCALE, farthest_m, write_depth
@@ -47,7 +46,7 @@ class DepthSettings:
 
 @dataclass(frozen=True)
 class DepthSummary:
-    """What came of it.
+    """Frames written, and what ``depth.json`` says.
 
     Args:
         outcome: Frames written now, and frames that were there.
@@ -79,20 +78,28 @@ def write_depth_maps(
 
     Raises:
         ConfigError: If the folder is the data set's own, or two frames would get one file.
-        DatasetError: As of :func:`~farfield.depth.frames.frame_depth`.
+        DatasetError: As of :func:`~farfield.depth.maps.frame_depth`.
     """
     settings, out = settings or DepthSettings(), Path(out)
     if out.resolve() == dataset.root.resolve():
         raise ConfigError(f"{out}: expected a folder apart from the data set's own, to keep its files as they are")
+
+    # 1. A unit of work a frame.
     names = file_names(dataset)
     units = [
         Unit("/".join(key), tuple(dataset.files(index)), (index, name))
         for index, (key, name) in enumerate(zip(dataset.keys, names, strict=True))
     ]
+
+    # 2. The scale of all files: by the farthest point of any frame, unless it is fixed.
     scale = int(settings.scale) if settings.scale != "auto" else _fitting_scale(dataset, out, settings, units, survey)
+
+    # 3. The maps, from where an interrupted run stopped.
     setting = f"{dataset.name} {json.dumps(dataset.recipe, sort_keys=True, default=str)} {settings} {scale}"
     journal = JobJournal(out / JOURNAL_NAME, setting, overwrite=overwrite)
     outcome = run(_MapWriting(dataset, out, settings, scale), units, bulk, journal=journal)
+
+    # 4. The summary.
     values = list(journal.values(unit.name for unit in units))
     summary = _summary(dataset, settings, scale, values)
     write_text(out / SUMMARY_NAME, json.dumps(summary, indent=1) + "\n")
@@ -157,27 +164,34 @@ class _MapWriting:
 
     def __call__(self, unit: Unit) -> UnitResult:
         index, name = unit.parameters
-        chosen, frame = self.settings, self.dataset[index]
-        made = frame_depth(
+        settings, frame = self.settings, self.dataset[index]
+
+        # 1. The map, without the pixels that are too unsure.
+        depth = frame_depth(
             frame,
-            cloud=chosen.cloud,
-            camera=chosen.camera,
-            method=chosen.method,
-            max_gap_deg=chosen.max_gap_deg,
+            cloud=settings.cloud,
+            camera=settings.camera,
+            method=settings.method,
+            max_gap_deg=settings.max_gap_deg,
         )
-        kept = made.surer_than(chosen.max_uncertainty_m) if chosen.max_uncertainty_m else made
-        notes = {"method": made.method, "source": "/".join(frame.key)}
+        if settings.max_uncertainty_m:
+            depth = depth.surer_than(settings.max_uncertainty_m)
+
+        # 2. Its files.
+        notes = {"method": depth.method, "source": "/".join(frame.key)}
         path = self.out / "depth" / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
-        beyond = write_depth(path, kept.depth_m, scale=self.scale, notes={**notes, "depth_kind": "z"})
+        beyond = write_depth(path, depth.depth_m, scale=self.scale, notes={**notes, "depth_kind": "z"})
         files = [path]
-        if chosen.uncertainty:
+        if settings.uncertainty:
             files.append(self.out / "uncertainty" / f"{name}.png")
             files[1].parent.mkdir(parents=True, exist_ok=True)
             end = np.float32(farthest_m(self.scale))  # less sure than that is not sure at all, but it is not nothing
-            write_depth(files[1], np.minimum(kept.uncertainty_m, end), scale=self.scale, notes=notes)
-        filled = round(float(np.isfinite(kept.depth_m).mean()), 6)
-        value = {"method": made.method, "filled": filled, "measured": int(kept.measured.sum()), "beyond": beyond}
+            write_depth(files[1], np.minimum(depth.uncertainty_m, end), scale=self.scale, notes=notes)
+
+        # 3. What the summary takes.
+        filled = round(float(np.isfinite(depth.depth_m).mean()), 6)
+        value = {"method": depth.method, "filled": filled, "measured": int(depth.measured.sum()), "beyond": beyond}
         return UnitResult(files=tuple(files), value=value)
 
 
