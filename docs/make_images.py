@@ -26,7 +26,10 @@ def main() -> None:
     (IMAGES / "birdseye.png").write_bytes(figure_bytes(figure, "png", dpi=110))
     (IMAGES / "patterns.png").write_bytes(figure_bytes(scan_patterns(dict(frame.clouds)), "png", dpi=100))
     (street,) = simulate_sequence("kitti-sim", sequence=2, frames=1, start=5, sensors=("lidar", "camera"))
-    picture = depth_picture(frame_depth(street), street.images["camera"])
+    depth = frame_depth(street)
+    picture = depth_picture(
+        depth.depth_m, depth.measured, depth.uncertainty_m, street.images["camera"], method=depth.method
+    )
     (IMAGES / "depth.jpg").write_bytes(figure_bytes(picture, "jpg", dpi=100))
     for path in sorted(IMAGES.glob("*.*g")):
         print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")

@@ -106,9 +106,12 @@ def _said(written: int, skipped: int, summary: dict[str, Any]) -> str:
 
 def _draw(frame: Any, settings: Any, picture: Path) -> None:
     from farfield.depth import frame_depth
-    from farfield.figures.camera import write_depth_picture
+    from farfield.figures.camera import depth_picture
+    from farfield.figures.style import figure_bytes, picture_kind
+    from farfield.files.atomic import write_bytes
 
-    made = frame_depth(
+    kind = picture_kind(picture)
+    depth = frame_depth(
         frame,
         cloud=settings.cloud,
         camera=settings.camera,
@@ -116,6 +119,15 @@ def _draw(frame: Any, settings: Any, picture: Path) -> None:
         max_gap_deg=settings.max_gap_deg,
     )
     name = settings.camera or next(iter(frame.cameras))
-    shown = made.surer_than(settings.max_uncertainty_m) if settings.max_uncertainty_m else made
-    image = frame.images.get(name)
-    write_depth_picture(picture, shown, image, title=f"{'/'.join(frame.key)}: ")
+    if settings.max_uncertainty_m:
+        depth = depth.surer_than(settings.max_uncertainty_m)
+    figure = depth_picture(
+        depth.depth_m,
+        depth.measured,
+        depth.uncertainty_m,
+        frame.images.get(name),
+        method=depth.method,
+        title=f"{'/'.join(frame.key)}: ",
+    )
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(picture, figure_bytes(figure, kind))

@@ -1,16 +1,13 @@
 """Camera pictures with points and boxes projected into them, and depth maps beside them."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 from PIL import Image, ImageDraw
 
-from farfield.depth.maps import DepthMap
 from farfield.figures.birds_eye import tags_of
-from farfield.figures.style import POINT, figure_bytes, house_style, new_figure, picture_kind
-from farfield.files.atomic import write_bytes
+from farfield.figures.style import POINT, house_style, new_figure
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.vocabulary.classes import CLASS_COLOURS
@@ -165,22 +162,31 @@ _TICKS_M = (1, 2, 3, 5, 10, 20, 30, 50, 100, 200, 400)
 
 
 def depth_picture(
-    depth: DepthMap, image: UInt8[np.ndarray, "height width 3"] | None = None, *, title: str = ""
+    depth_m: Float32[np.ndarray, "h w"],
+    measured: Bool[np.ndarray, "h w"],
+    uncertainty_m: Float32[np.ndarray, "h w"],
+    image: UInt8[np.ndarray, "h w channels"] | None = None,
+    *,
+    method: str = "",
+    title: str = "",
 ) -> "Figure":
     """Draw the picture with its measured points, the depth over it (fainter where it is less sure), the uncertainty.
 
     Args:
-        depth: The map.
+        depth_m: Depth by pixel in metres, NaN where there is none, shape (h, w).
+        measured: Where it was measured rather than interpolated, shape (h, w).
+        uncertainty_m: How far it may be off, NaN where that is not known, shape (h, w).
         image: The camera's picture, if there is one.
+        method: What filled the map.
         title: What stands above.
     """
     from matplotlib.colors import LogNorm
 
-    height, width = depth.depth_m.shape
-    measured_m = depth.depth_m[np.isfinite(depth.depth_m)]
-    nearest_m, farthest_m = (float(measured_m.min()), float(measured_m.max())) if measured_m.size else (1.0, 100.0)
+    height, width = depth_m.shape
+    finite_m = depth_m[np.isfinite(depth_m)]
+    nearest_m, farthest_m = (float(finite_m.min()), float(finite_m.max())) if finite_m.size else (1.0, 100.0)
     norm = LogNorm(nearest_m, max(farthest_m, nearest_m * 1.01))
-    sure = np.isfinite(depth.uncertainty_m).any()
+    sure = np.isfinite(uncertainty_m).any()
     rows = 3 if sure else 2
     with house_style():
         figure = new_figure(10.0, rows * 9.0 * height / width + 0.9)
@@ -189,18 +195,19 @@ def depth_picture(
         for ax in axes:
             ax.set_axis_off()
         axes[0].imshow(grey if image is None else image, cmap="gray", vmin=0, vmax=1)
-        v, u = np.nonzero(depth.measured)
-        axes[0].scatter(u, v, c=depth.depth_m[v, u], s=1.2, lw=0, cmap=_COLOURS, norm=norm)
+        v, u = np.nonzero(measured)
+        axes[0].scatter(u, v, c=depth_m[v, u], s=1.2, lw=0, cmap=_COLOURS, norm=norm)
         axes[0].set_title(f"{title}{len(v):,} measured depths", fontsize=9)
         axes[1].imshow(grey, cmap="gray", vmin=0, vmax=1)
-        shown = axes[1].imshow(depth.depth_m, cmap=_COLOURS, norm=norm, alpha=_certainty(depth), interpolation="none")
-        filled = np.isfinite(depth.depth_m).mean()
-        axes[1].set_title(f"{depth.method}: {filled:.0%} of the pixels, fainter where less sure", fontsize=9)
+        certainty = _certainty(depth_m, uncertainty_m)
+        shown = axes[1].imshow(depth_m, cmap=_COLOURS, norm=norm, alpha=certainty, interpolation="none")
+        filled = np.isfinite(depth_m).mean()
+        axes[1].set_title(f"{method}: {filled:.0%} of the pixels, fainter where less sure", fontsize=9)
         ticks = [tick for tick in _TICKS_M if nearest_m <= tick <= farthest_m]
         bar = figure.colorbar(shown, ax=list(axes[:2]), label="depth in m", ticks=ticks, format="%g", shrink=0.8)
         bar.minorticks_off()
         if sure:
-            doubt = axes[2].imshow(depth.uncertainty_m, cmap="magma", norm=LogNorm(0.02, 20), interpolation="none")
+            doubt = axes[2].imshow(uncertainty_m, cmap="magma", norm=LogNorm(0.02, 20), interpolation="none")
             axes[2].set_title("how far it may be off", fontsize=9)
             figure.colorbar(doubt, ax=axes[2], label="m", format="%g", shrink=0.8)
         for ax in axes:
@@ -208,21 +215,9 @@ def depth_picture(
     return figure
 
 
-def write_depth_picture(
-    path: Path | str, depth: DepthMap, image: UInt8[np.ndarray, "height width 3"] | None = None, *, title: str = ""
-) -> None:
-    """Write :func:`depth_picture` as SVG, PNG or JPEG, by the file's name.
-
-    Raises:
-        ConfigError: If it has another ending.
-    """
-    path = Path(path)
-    kind = picture_kind(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, figure_bytes(depth_picture(depth, image, title=title), kind))
-
-
-def _certainty(depth: DepthMap) -> Float32[np.ndarray, "h w"]:
+def _certainty(
+    depth_m: Float32[np.ndarray, "h w"], uncertainty_m: Float32[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w"]:
     """1 where the uncertainty is a hundredth of the depth or unknown, towards 0.3 where it is as large as the depth."""
-    share = np.nan_to_num(depth.uncertainty_m / depth.depth_m, nan=0.0, posinf=1.0)
-    return np.where(np.isfinite(depth.depth_m), np.clip(1 - 0.7 * share, 0.3, 1), 0).astype(np.float32)
+    share = np.nan_to_num(uncertainty_m / depth_m, nan=0.0, posinf=1.0)
+    return np.where(np.isfinite(depth_m), np.clip(1 - 0.7 * share, 0.3, 1), 0).astype(np.float32)
