@@ -11,7 +11,7 @@ from farfield.evaluation import as_trained, detect
 from farfield.frame import Boxes, Cloud, Frame, Key
 from farfield.metrics.score_calibration import thresholds_of
 from farfield.papers.jobs import TrainingJob
-from farfield.papers.places import DataLocation
+from farfield.papers.locations import DataLocation
 from farfield.papers.running import WEIGHTS
 from farfield.training.config import WeatherConfig
 from farfield.training.weather import draw_weather, holding, lay_over
@@ -59,7 +59,7 @@ def thresholds(job: TrainingJob, runs: Path, val: DataLocation) -> dict[str, dic
         found, truth = _found_in_weather(detector, val, cloud, config)
     else:
         journal = weights.parent / f"found-val-{cloud}.jsonl"  # that of the scoring
-        seen = detect(detector, val.opened(), cloud=cloud, annotated_only=True, journal=journal)
+        seen = detect(detector, val.open(), cloud=cloud, annotated_only=True, journal=journal)
         found, truth = dict(seen.boxes), {key: each.boxes for key, each in seen.annotations.items()}
     lowest = detector.config.score_threshold
     limits = thresholds_of(found, truth, detector.config.class_names, lowest=lowest)
@@ -71,7 +71,7 @@ def _found_in_weather(
     detector: Detector, val: DataLocation, cloud: str, config: WeatherConfig
 ) -> tuple[dict[Key, Boxes], dict[Key, Boxes]]:
     """What is found, and what is to be found, in frames that each have one kind of weather laid over them."""
-    data, found, truth = as_trained(val.opened(), detector.info), {}, {}
+    data, found, truth = as_trained(val.open(), detector.info), {}, {}
     always = config.model_copy(update={"probability": 1.0})
     for number in range(len(data)):
         frame, rng = data[number], np.random.default_rng((_SEED, number))

@@ -38,10 +38,9 @@ from farfield.papers import load_grid
 from farfield.papers.deciding import Scores
 from farfield.papers.grid import ExperimentGrid
 from farfield.papers.jobs import DataLocations, TrainingJob, jobs_of
-from farfield.papers.needs import RequiredScore
-from farfield.papers.places import DataLocation, fingerprints_of, places_of, provide
+from farfield.papers.locations import DataLocation, fingerprints_of, locations_of, provide
 from farfield.papers.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
-from farfield.papers.scoring import ScoringTask
+from farfield.papers.scoring import RequiredScore, ScoringTask
 from farfield.training.config import WeatherConfig
 from farfield.training.weather import inside_presets
 
@@ -116,10 +115,10 @@ def adapted(job: TrainingJob, runs: Path, val: DataLocation, steps: int) -> Trai
 def trained(grid: ExperimentGrid, options: argparse.Namespace) -> tuple[list[TrainingJob], ScoringTask]:
     """Simulate, train and score all that is not done: the jobs in their order, and how they were scored."""
     runs = options.out / "runs"
-    places = places_of(grid, BUDGET, options.out / "data")
+    places = locations_of(grid, BUDGET, options.out / "data")
     provide(places, workers=options.workers, progress=partial(progress, what="simulating"))
     fingerprints = fingerprints_of(places)
-    jobs = jobs_of(grid, BUDGET, (), DataLocations(places=places, fingerprints=fingerprints), runs)
+    jobs = jobs_of(grid, BUDGET, (), DataLocations(locations=places, fingerprints=fingerprints), runs)
     settings = grid.budgets[BUDGET]
     needs = [
         RequiredScore(run=run, cloud=CLOUDS[run.partition("_")[0]], table="", scalar=scalar)
@@ -128,7 +127,7 @@ def trained(grid: ExperimentGrid, options: argparse.Namespace) -> tuple[list[Tra
     ]
     scoring = ScoringTask(
         score=settings.score,
-        places={name: places[name] for name in settings.scored_on},
+        locations={name: places[name] for name in settings.scored_on},
         fingerprints={name: fingerprints[name] for name in settings.scored_on},
         needs=tuple(needs),
         replicates=settings.replicates,

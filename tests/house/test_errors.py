@@ -10,7 +10,7 @@ from sources import sources
 
 from farfield.errors import FarfieldError
 from farfield.experiments.schema import load_experiment
-from farfield.papers.claims.loading import load
+from farfield.papers.claims import load
 from farfield.papers.grid import load_grid
 
 LIBRARY = re.compile(

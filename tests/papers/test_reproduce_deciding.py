@@ -13,13 +13,11 @@ from farfield.frame import Annotation, Boxes
 from farfield.metrics import Detections
 from farfield.papers.claims import load as load_claims
 from farfield.papers.claims.schema import ClaimSide, Comparison
-from farfield.papers.deciding import DecidedComparison, DecisionRule, Scores, to_json, verdict_of
+from farfield.papers.deciding import DecidedComparison, DecisionRule, Scores, verdict_of
 from farfield.papers.grid import load_grid
-from farfield.papers.needs import needs_of
-from farfield.papers.scoring import matched_frames, sample_of, together
-from farfield.papers.statistics import AnnotatedObjects, compared
-from farfield.papers.summary import ReproductionSummary, summary_of
-from farfield.papers.tables import classes_of, spread_of, tables_of
+from farfield.papers.scoring import matched_frames, merge_sets, needs_of, sample_of
+from farfield.papers.statistics import AnnotatedObjects, statistic_difference
+from farfield.papers.summary import ReproductionSummary, classes_of, spread_of, summary_of, tables_of
 
 CLAIMS, GRID = load_claims("cirrus"), load_grid("cirrus")
 SETTINGS = GRID.budgets["laptop"]
@@ -44,8 +42,8 @@ def made_up(values: dict[str, float], noise: float = 0.003) -> Scores:
 
 
 def decided(scores: Scores, claim: str) -> list[DecidedComparison]:
-    judge = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores)
-    own = [each for each in judge.decided() if each.claim.id == claim]
+    rule = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores)
+    own = [each for each in rule.decide() if each.claim.id == claim]
     return [each for each in own if each.first and each.role == "comparison"]
 
 
@@ -90,7 +88,7 @@ def test_a_run_without_such_a_figure_is_no_run_that_is_missing() -> None:
 
 def test_spreads_are_pooled_by_metric_and_network() -> None:
     scores = made_up(dict.fromkeys(GRID.runs_of("laptop"), 0.5))
-    found = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores).decided()
+    found = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores).decide()
     trained = [each for each in found if each.decision is not None]
     assert {each.pool for each in trained} >= {"dds, grid", "wdds, grid", "dds, second and voxelnet"}
     grid = [each for each in trained if each.pool == "dds, grid"]
@@ -126,7 +124,9 @@ def objects(
 
 def test_points_in_boxes_are_compared_as_logarithms_of_means() -> None:
     data = objects({"gaussian": [40, 20, 9, 7], "uniform": [20, 10, 2, 2]}, [10, 20, 210, 220], [0, 1, 0, 1], [""] * 4)
-    whole, far, more = (compared(pair, "log_points_in_boxes", data, replicates=50) for pair in CLAIMS["C0"].comparisons)
+    whole, far, more = (
+        statistic_difference(pair, "log_points_in_boxes", data, replicates=50) for pair in CLAIMS["C0"].comparisons
+    )
     assert whole.estimate == pytest.approx(math.log(76 / 34))
     assert far.estimate == pytest.approx(math.log(16 / 4))
     assert more.estimate == pytest.approx(math.log(4) - math.log(2))
@@ -139,12 +139,12 @@ def test_returns_are_shares_of_objects_by_weather() -> None:
     pair = Comparison(
         a=ClaimSide(cloud="os2-64", part="weather/normal"), b=ClaimSide(cloud="os2-64", part="weather/sleet")
     )
-    found = compared(pair, "share_of_objects_with_returns", data, replicates=10)
+    found = statistic_difference(pair, "share_of_objects_with_returns", data, replicates=10)
     assert found.estimate == pytest.approx(0.0)
     absent = Comparison(
         a=ClaimSide(cloud="other", part="weather/normal"), b=ClaimSide(cloud="none", part="weather/sleet")
     )
-    assert compared(absent, "share_of_objects_with_returns", data, replicates=10).estimate is None
+    assert statistic_difference(absent, "share_of_objects_with_returns", data, replicates=10).estimate is None
 
 
 def frame_with(count: int) -> Annotation:
@@ -171,7 +171,7 @@ def test_matched_frames_have_as_many_of_each_number_of_objects() -> None:
 
 def test_sets_are_scored_together_under_names_of_their_own() -> None:
     one = Detections(boxes={("1", "0"): Boxes.empty(scored=True)}, annotations={("1", "0"): frame_with(1)})
-    both = together({"val": one, "sleet": one})
+    both = merge_sets({"val": one, "sleet": one})
     assert set(both.annotations) == {("val: 1", "0"), ("sleet: 1", "0")}
     assert set(both.boxes) == set(both.annotations)
 
@@ -228,7 +228,7 @@ def test_the_summary_and_its_page(tmp_path) -> None:
 
     scores = made_up({"gaussian": 0.5, "uniform": 0.4})
     data = objects({"gaussian": [40, 20, 9], "uniform": [20, 10, 2]}, [10, 20, 210], [0, 1, 1], [""] * 3)
-    found = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores, objects=data).decided()
+    found = DecisionRule(claims=CLAIMS, grid=GRID, settings=SETTINGS, scores=scores, objects=data).decide()
     made = ReproductionSummary(
         paper="cirrus",
         budget="laptop",
@@ -253,4 +253,4 @@ def test_the_summary_and_its_page(tmp_path) -> None:
     assert "Table I: VoxelNet by scan pattern and range" in text
     assert CLAIMS.sha256 in text
     assert "http" not in text.replace("http://www.w3.org", "")
-    assert all(to_json(each)["claim"] == each.claim.id for each in found)
+    assert all(each.to_json()["claim"] == each.claim.id for each in found)

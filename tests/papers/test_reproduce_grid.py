@@ -12,10 +12,10 @@ from tinygrid import RUNS, tiny_grid
 from farfield.errors import ConfigError, FileFormatError
 from farfield.papers.claims import load as load_claims
 from farfield.papers.claims.schema import BUDGETS
-from farfield.papers.grid import LEAST_SEEDS, LEAST_STEPS, ExperimentGrid, load_grid, merged
+from farfield.papers.grid import LEAST_SEEDS, LEAST_STEPS, ExperimentGrid, load_grid, merge_trees
 from farfield.papers.jobs import DataLocations, TrainingJob, jobs_of, waves
-from farfield.papers.needs import needs_of
-from farfield.papers.places import places_of
+from farfield.papers.locations import locations_of
+from farfield.papers.scoring import needs_of
 
 PAPERS = ("cirrus", "kradar")
 FOLDER = Path("runs")
@@ -23,8 +23,8 @@ FOLDER = Path("runs")
 
 def jobs(grid: ExperimentGrid, budget: str = "laptop", **options: Any) -> list[TrainingJob]:
     claims = load_claims(grid.paper)
-    places = places_of(grid, budget, Path("data"))
-    data = DataLocations(places=places, fingerprints=options.pop("fingerprints", dict.fromkeys(places, "")))
+    locations = locations_of(grid, budget, Path("data"))
+    data = DataLocations(locations=locations, fingerprints=options.pop("fingerprints", dict.fromkeys(locations, "")))
     return jobs_of(grid, budget, claims, data, options.pop("folder", FOLDER), **options)
 
 
@@ -163,16 +163,16 @@ def test_numbers_that_claims_compare_are_in_the_ranges_of_their_table() -> None:
 
 def test_real_data_take_the_place_of_simulated_ones(tmp_path: Path) -> None:
     grid = load_grid("cirrus")
-    places = places_of(grid, "laptop", tmp_path, data=tmp_path)
-    assert (places["train"].split, places["val"].split) == ("train", "val")
-    assert places["train"].simulated is None
-    assert places["device"].simulated is not None  # the other device stands in, unless given
-    both = places_of(grid, "laptop", tmp_path, data=tmp_path, source=tmp_path)
+    locations = locations_of(grid, "laptop", tmp_path, data=tmp_path)
+    assert (locations["train"].split, locations["val"].split) == ("train", "val")
+    assert locations["train"].simulated is None
+    assert locations["device"].simulated is not None  # the other device stands in, unless given
+    both = locations_of(grid, "laptop", tmp_path, data=tmp_path, source=tmp_path)
     assert both["device"].simulated is None
     kradar = load_grid("kradar")
-    assert set(places_of(kradar, "laptop", tmp_path, data=tmp_path)) == {"train", "val"}
+    assert set(locations_of(kradar, "laptop", tmp_path, data=tmp_path)) == {"train", "val"}
     with pytest.raises(ConfigError, match="expected a folder"):
-        places_of(grid, "laptop", tmp_path, data=tmp_path / "none")
+        locations_of(grid, "laptop", tmp_path, data=tmp_path / "none")
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
@@ -189,9 +189,9 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected a set among"):
         ExperimentGrid.model_validate(tree)
     with pytest.raises(ConfigError, match="budget: expected one of laptop"):
-        jobs_of(tiny_grid(), "desk", load_claims("cirrus"), DataLocations(places={}), FOLDER)
+        jobs_of(tiny_grid(), "desk", load_claims("cirrus"), DataLocations(locations={}), FOLDER)
 
 
 def test_trees_are_laid_over_one_another() -> None:
-    assert merged({"a": {"b": 1, "c": 2}}, {"a": {"c": 3}, "d": None}) == {"a": {"b": 1, "c": 3}, "d": None}
-    assert merged({"a": {"b": 1}}, {"a": None}) == {"a": None}
+    assert merge_trees({"a": {"b": 1, "c": 2}}, {"a": {"c": 3}, "d": None}) == {"a": {"b": 1, "c": 3}, "d": None}
+    assert merge_trees({"a": {"b": 1}}, {"a": None}) == {"a": None}

@@ -10,12 +10,11 @@ pytest.importorskip("torch")
 from tinygrid import tiny_grid
 
 from farfield.errors import ConfigError
-from farfield.papers import measuring
+from farfield.papers import planning
 from farfield.papers.claims import load as load_claims
 from farfield.papers.grid import SimulatedSet, load_grid
 from farfield.papers.jobs import DataLocations, TrainingJob, jobs_of
-from farfield.papers.measuring import RunRate, StepClock, little, measure_simulating, patience_s, short
-from farfield.papers.places import places_of
+from farfield.papers.locations import locations_of
 from farfield.papers.planning import (
     PAGE_S,
     RESERVE,
@@ -23,11 +22,17 @@ from farfield.papers.planning import (
     GridCost,
     GridPlan,
     PowerEstimate,
+    RunRate,
+    StepClock,
     cost_of,
     described,
-    fitted,
+    fit_steps,
+    measure_simulating,
     outline_of,
     outlooks,
+    patience_s,
+    trial_experiment,
+    trial_set,
 )
 
 CIRRUS = load_grid("cirrus")
@@ -35,7 +40,7 @@ LAPTOP = CIRRUS.budgets["laptop"]
 
 
 def jobs() -> list[TrainingJob]:
-    data = DataLocations(places=places_of(CIRRUS, "laptop", Path("data")))
+    data = DataLocations(locations=locations_of(CIRRUS, "laptop", Path("data")))
     return jobs_of(CIRRUS, "laptop", load_claims("cirrus"), data, Path("runs"))
 
 
@@ -59,22 +64,24 @@ def test_cost_is_the_sum_of_its_parts() -> None:
 
 def test_steps_are_lowered_until_it_fits_and_no_further_than_the_floor() -> None:
     listed = jobs()
-    paces = alike(listed, 0.5)
-    whole = cost_of(listed, 1.0, LAPTOP, paces, {}, 96).core_minutes
-    assert fitted(listed, LAPTOP, paces, {}, 96, None)[0] == 1.0
+    rates = alike(listed, 0.5)
+    whole = cost_of(listed, 1.0, LAPTOP, rates, {}, 96).core_minutes
+    assert fit_steps(listed, LAPTOP, rates, {}, 96, None)[0] == 1.0
     asked = (whole + 1) / (1 - RESERVE)
-    assert fitted(listed, LAPTOP, paces, {}, 96, asked)[0] == 1.0
-    assert fitted(listed, LAPTOP, paces, {}, 96, whole + 1)[0] < 1.0  # nothing would be left for what paces err by
-    share, cost = fitted(listed, LAPTOP, paces, {}, 96, (whole - 10) / (1 - RESERVE))
+    assert fit_steps(listed, LAPTOP, rates, {}, 96, asked)[0] == 1.0
+    assert fit_steps(listed, LAPTOP, rates, {}, 96, whole + 1)[0] < 1.0  # nothing would be left for what rates err by
+    share, cost = fit_steps(listed, LAPTOP, rates, {}, 96, (whole - 10) / (1 - RESERVE))
     assert cost.core_minutes <= whole - 10
     assert LAPTOP.lowered(share).steps < 300
-    assert cost_of(listed, share + 0.05, LAPTOP, paces, {}, 96).core_minutes > whole - 10
+    assert cost_of(listed, share + 0.05, LAPTOP, rates, {}, 96).core_minutes > whole - 10
     with pytest.raises(ConfigError, match="fewest steps") as caught:
-        fitted(listed, LAPTOP, paces, {}, 96, whole / 3)
-    assert fitted(listed, LAPTOP, paces, {}, 96, asked, beside_s=120.0)[0] < 1.0
-    least = cost_of(listed, 0.01, LAPTOP, paces, {}, 96).core_minutes
+        fit_steps(listed, LAPTOP, rates, {}, 96, whole / 3)
+    assert fit_steps(listed, LAPTOP, rates, {}, 96, asked, beside_s=120.0)[0] < 1.0
+    least = cost_of(listed, 0.01, LAPTOP, rates, {}, 96).core_minutes
     assert f"at least {least:.0f} core minutes" in str(caught.value)
-    assert fitted(listed, LAPTOP, paces, {}, 96, least + 1)[1].core_minutes == pytest.approx(least)  # no reserve left
+    assert fit_steps(listed, LAPTOP, rates, {}, 96, least + 1)[1].core_minutes == pytest.approx(
+        least
+    )  # no reserve left
 
 
 def test_many_kinds_are_tried_no_longer_than_some() -> None:
@@ -93,15 +100,15 @@ def test_kinds_are_what_a_step_does_not_what_it_learns_from() -> None:
 
 def test_a_trial_needs_neither_weights_nor_many_sequences() -> None:
     by_run = {name: job.experiment for job in jobs() for name in job.runs}
-    continued = short(by_run["device_pretrained"], 5)
+    continued = trial_experiment(by_run["device_pretrained"], 5)
     assert continued.method.name == "supervised"
     assert not continued.method.settings
-    adapted = short(by_run["device_25"], 5)
+    adapted = trial_experiment(by_run["device_25"], 5)
     assert "start" not in adapted.method.settings
     assert adapted.method.settings["rest_share"] == 0.5
     assert {group.part for group in adapted.data.values()} == {(0.0, 1.0)}
     assert adapted.training.steps == 5
-    large = short(
+    large = trial_experiment(
         by_run["device_25"].model_copy(
             update={"training": adapted.training.model_copy(update={"batch_size": 20, "workers": 2})}
         ),
@@ -109,7 +116,7 @@ def test_a_trial_needs_neither_weights_nor_many_sequences() -> None:
         0.25,
     )
     assert (large.training.batch_size, large.training.workers) == (5, 0)
-    assert little(LAPTOP.sets["train"]).sequences == 3
+    assert trial_set(LAPTOP.sets["train"]).sequences == 3
 
 
 class SlowToBegin:
@@ -131,12 +138,14 @@ def test_seconds_of_a_frame_leave_out_what_a_process_makes_once(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     slow = SlowToBegin()
-    monkeypatch.setattr(measuring, "time", slow)
-    monkeypatch.setattr(measuring, "simulate", slow.simulate)
-    seconds, small = measure_simulating(places_of(CIRRUS, "laptop", tmp_path / "data"), {"train"}, tmp_path / "scratch")
+    monkeypatch.setattr(planning, "time", slow)
+    monkeypatch.setattr(planning, "simulate", slow.simulate)
+    seconds, small = measure_simulating(
+        locations_of(CIRRUS, "laptop", tmp_path / "data"), {"train"}, tmp_path / "scratch"
+    )
     assert set(seconds) == set(LAPTOP.sets)
     assert set(seconds.values()) == {1.0}
-    assert small["train"].simulated == little(LAPTOP.sets["train"])
+    assert small["train"].simulated == trial_set(LAPTOP.sets["train"])
 
 
 @pytest.mark.parametrize(
@@ -151,8 +160,8 @@ def test_seconds_of_a_frame_leave_out_what_a_process_makes_once(
 def test_the_pace_leaves_out_what_comes_before_the_steps_are_settled(times, step_s: float, begin_s: float) -> None:
     clock = StepClock()
     clock.began, clock.times = (0.0, 100.0), [(time, 100 + 2 * time) for time in times]
-    assert clock.pace(0, 0.1) == RunRate(step_s=step_s, begin_s=begin_s, frame_s=0.1)
-    assert clock.pace(1, 0.1) == RunRate(step_s=2 * step_s, begin_s=2 * begin_s, frame_s=0.1)
+    assert clock.rate(0, 0.1) == RunRate(step_s=step_s, begin_s=begin_s, frame_s=0.1)
+    assert clock.rate(1, 0.1) == RunRate(step_s=2 * step_s, begin_s=2 * begin_s, frame_s=0.1)
 
 
 def test_outlooks_follow_seeds_and_published_differences() -> None:

@@ -69,8 +69,8 @@ def test_weights_that_were_brought_are_told_from_those_of_a_killed_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed_at_scoring: bool
 ) -> None:
     made = tiny(tmp_path)
-    (job, *_) = made.jobs(made.places)
-    scoring = ScoringTask(score=made.settings.score, places={}, fingerprints={}, needs=(), replicates=2)
+    (job, *_) = made.jobs(made.locations)
+    scoring = ScoringTask(score=made.settings.score, locations={}, fingerprints={}, needs=(), replicates=2)
     monkeypatch.setattr(ScoringTask, "of_job", lambda self, job, weights: {"clouds": {}})
     home = tmp_path / job.folder
     home.mkdir(parents=True)
@@ -92,8 +92,8 @@ def run_out(self: object, report: object = None) -> None:
 
 def test_a_training_that_diverges_is_said_and_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = tiny(tmp_path)
-    (job, *_) = made.jobs(made.places)
-    scoring = ScoringTask(score=made.settings.score, places={}, fingerprints={}, needs=(), replicates=2)
+    (job, *_) = made.jobs(made.locations)
+    scoring = ScoringTask(score=made.settings.score, locations={}, fingerprints={}, needs=(), replicates=2)
     monkeypatch.setattr(running.Plan, "run", diverge)
     (tmp_path / job.folder).mkdir(parents=True)
     done = running.RunTask(tmp_path, scoring)(Unit(job.folder, parameters=job))

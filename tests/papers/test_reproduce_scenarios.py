@@ -9,8 +9,7 @@ pytest.importorskip("torch")
 from metrics.scenes import better_on
 
 from farfield.papers.grid import Score
-from farfield.papers.scenario_tables import scenarios
-from farfield.papers.scenarios import scenarios_of
+from farfield.papers.scenarios import scenario_tables, scenarios_of
 
 SCORE = Score(protocol="dds", settings={"region": "none"}, bins_m={"I": {"near": (0.0, 60.0), "far": (60.0, 120.0)}})
 
@@ -39,7 +38,7 @@ def test_switching_gains_over_both(tree: dict) -> None:
 
 
 def test_the_page_has_it_in_words(tree: dict) -> None:
-    shown = scenarios(tree)
+    shown = scenario_tables(tree)
     assert shown is not None
     assert shown.claim == "gaussian above uniform"
     assert shown.choices == "highway gaussian (6 of 6), urban uniform (6 of 6)"
@@ -51,5 +50,5 @@ def test_the_page_has_it_in_words(tree: dict) -> None:
 def test_nothing_is_said_without_both_patterns_or_of_other_protocols() -> None:
     one = {"gaussian": [better_on("highway", 0)], "uniform": []}
     assert scenarios_of(one, SCORE) == {}
-    assert scenarios(scenarios_of(one, SCORE)) is None
+    assert scenario_tables(scenarios_of(one, SCORE)) is None
     assert scenarios_of({"gaussian": [], "uniform": []}, Score(protocol="kradar")) == {}

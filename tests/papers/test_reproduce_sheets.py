@@ -15,9 +15,9 @@ from tinygrid import tiny_kradar
 from farfield.datasets import open_dataset
 from farfield.figures.birds_eye import Window
 from farfield.papers import Reproduction, load_grid
-from farfield.papers.places import DataLocation
+from farfield.papers.locations import DataLocation
 from farfield.papers.radar_sheets import WINDOW_M
-from farfield.papers.sheets import SheetFrame, measure_sheet, sheet_places, sheets_of, two_roads
+from farfield.papers.sheets import SheetFrame, sheet_locations, sheets_of, two_roads
 from farfield.vocabulary.conditions import WEATHERS
 
 CORRIDOR = (0.0, 72.0, -6.4, 6.4)
@@ -26,20 +26,19 @@ CORRIDOR = (0.0, 72.0, -6.4, 6.4)
 @pytest.mark.parametrize("budget", list(load_grid("kradar").budgets))
 def test_roads_of_the_statistics_are_simulated_anew_with_a_camera(budget: str, tmp_path: Path) -> None:
     settings = load_grid("kradar").budgets[budget]
-    places = sheet_places(settings, tmp_path)
-    assert tuple(places) == WEATHERS
+    locations = sheet_locations(settings, tmp_path)
+    assert tuple(locations) == WEATHERS
     base = settings.sets[settings.statistics_on[0]]
-    made = [place.simulated for place in places.values() if place.simulated is not None]
+    made = [place.simulated for place in locations.values() if place.simulated is not None]
     assert {(each.seed, each.preset, each.frames) for each in made} == {(base.seed, base.preset, 1)}
     assert all(each.sequences <= 5 and "cam-front" in str(each.sensors) for each in made)
     assert [each.weather for each in made] == list(WEATHERS)
-    assert len({place.path for place in places.values()}) == len(WEATHERS)
+    assert len({place.path for place in locations.values()}) == len(WEATHERS)
 
 
 def test_the_page_alone_shows_them_where_all_is_simulated(tmp_path: Path) -> None:
-    assert Reproduction.of("cirrus", out=tmp_path).sheet_places == {}
-    assert Reproduction.of("kradar", out=tmp_path, data=tmp_path).sheet_places == {}
-    assert measure_sheet({}, tmp_path) == 0.0
+    assert Reproduction.of("cirrus", out=tmp_path).sheet_locations == {}
+    assert Reproduction.of("kradar", out=tmp_path, data=tmp_path).sheet_locations == {}
 
 
 class Counted(SheetFrame):

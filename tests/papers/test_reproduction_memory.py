@@ -2,7 +2,11 @@
 
 from typing import Any
 
-from farfield.papers.memory_table import MEMORY, brought, memory_rows, unmeasured, with_memory
+import pytest
+
+pytest.importorskip("torch")
+
+from farfield.papers.page import MEMORY, memory_rows, missing_memory, only_scored, with_memory
 
 
 def row(run: str, published: float | None, n: int) -> dict[str, Any]:
@@ -36,19 +40,19 @@ def test_a_table_that_prints_memory_gets_ours_with_its_spread() -> None:
 
 def test_weights_that_were_brought_and_those_scored_anew() -> None:
     trained, scored = {"training_s": 60.0}, {"training_s": 0.0, "brought": True}
-    assert brought({"clock": [scored, scored]})
-    assert not brought({"clock": [trained, scored]})
-    assert not brought({"clock": [{"training_s": 0.0}]}), "killed at scoring, after it had trained here"
-    assert not brought({"clock": []})
+    assert only_scored({"clock": [scored, scored]})
+    assert not only_scored({"clock": [trained, scored]})
+    assert not only_scored({"clock": [{"training_s": 0.0}]}), "killed at scoring, after it had trained here"
+    assert not only_scored({"clock": []})
 
 
 def test_what_is_missing_is_said_with_its_reason() -> None:
     assert memory_rows(TIMING) == [("rtn", "1,100 MB")]
     summary = {"left_out": {"large": "a large one"}, "tables": [TABLE, {"rows": [row("late_one", None, 0)]}]}
-    assert unmeasured(summary, TIMING) == [
+    assert missing_memory(summary, TIMING) == [
         "Not run at this budget: large.",
         "Not finished: late one.",
         "Trained elsewhere: far.",
         "Done where the system does not say it: mute.",
     ]
-    assert unmeasured({"tables": []}, {"runs": {}}) == []
+    assert missing_memory({"tables": []}, {"runs": {}}) == []

@@ -10,36 +10,54 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("embreex")
 
+
 from farfield.cli import main
 from farfield.errors import FileFormatError
-from farfield.experiments.schema import experiment_of
 from farfield.metrics.deciding import ScoreSample
+from farfield.papers.jobs import TrainingJob, waves
+from farfield.papers.planning import RunRate
 from farfield.papers.scoring import json_of_sample
-from farfield.papers.transfer import TransferExperiment, cells_of, lines_of, load_table, runs_of
-from farfield.papers.transfer.deciding import by_row, tree_of
-from farfield.papers.transfer.declared import experiment_tree
-from farfield.papers.transfer.planning import STEPS, TransferCost, core_seconds, small_table
-from farfield.papers.transfer_page import render, write_transfer
+from farfield.papers.transfer import TransferExperiment, cells_of, lines_of, load_table, transfer_jobs
+from farfield.papers.transfer.experiment import core_seconds
+from farfield.papers.transfer.page import render, write_transfer
+from farfield.papers.transfer.results import by_row, tree_of
+from farfield.papers.transfer.table import share_of
 
-SHIPPED, ANY = load_table(), Path("any")
+SHIPPED, DATA, RUNS = load_table(), Path("data"), Path("runs")
 
 
-def test_what_is_declared_comes_to_runs_in_two_waves():
-    first, rest = runs_of(SHIPPED)
+@pytest.fixture(scope="module")
+def jobs() -> list[TrainingJob]:
+    return transfer_jobs(SHIPPED, DATA, RUNS)
+
+
+def test_what_is_declared_comes_to_runs_in_two_waves(jobs: list[TrainingJob]):
+    first, rest = waves(jobs)
     turned = {"left_turned", "power_turned", "coarse_turned"}
-    assert {run.row for run in first} == {"radiate", "kradar_source", "left_still", *turned}
+    assert {job.runs[0] for job in first} == {"radiate", "kradar_source", "left_still", *turned}
+    assert {share_of(job) for job in first} == {1.0}
     assert len(first) == 18
     by_share, by_count = 3 * 5, 5 * 5
-    assert len(first) + len(rest) == 3 * (by_share + by_count + 5 + 2 + 3)
-    assert len({run.folder for run in first + rest}) == len(first) + len(rest)
-    assert [run.seed for run in rest] == sorted(run.seed for run in rest), "seed by seed"
-    for run in first + rest:
-        experiment_of(experiment_tree(SHIPPED, run, data=ANY, start=ANY if run in rest else None))
+    assert len(jobs) == 3 * (by_share + by_count + 5 + 2 + 3)
+    assert len({job.folder for job in jobs}) == len(jobs)
+    assert [job.seed for job in rest] == sorted(job.seed for job in rest), "seed by seed"
+    assert {job.start for job in rest} - {""} == {job.folder for job in first}
 
 
-def test_the_sides_rows_are_not_flipped_and_their_control_is():
-    tree = {run.row: experiment_tree(SHIPPED, run, data=ANY, start=None) for wave in runs_of(SHIPPED) for run in wave}
-    flips = {name: each["augmentation"]["flip_probability"] for name, each in tree.items()}
+def test_jobs_are_known_by_row_share_and_seed_and_start_from_weights(jobs: list[TrainingJob]):
+    by_folder = {job.folder: job for job in jobs}
+    job = by_folder["s1-radiate_from_kradar-005"]
+    assert (job.runs, job.seed, share_of(job), job.clouds) == (("radiate_from_kradar",), 1, 0.05, ("radar",))
+    assert job.start == "s1-kradar_source-100"
+    tree = job.experiment.model_dump(mode="json")
+    assert tree["training"]["start"]["weights"] == "runs/s1-kradar_source-100/weights.safetensors"
+    assert tree["data"]["path"] == "data/left-train"
+    coarse = by_folder["s0-coarse_turned-100"]
+    assert coarse.experiment.data.path == Path("data/left-train"), "the data of another world"
+
+
+def test_the_sides_rows_are_not_flipped_and_their_control_is(jobs: list[TrainingJob]):
+    flips = {job.runs[0]: job.experiment.augmentation.flip_probability for job in jobs}
     assert {name for name, flip in flips.items() if flip == 0} == {
         "left_still",
         "right",
@@ -52,14 +70,14 @@ def test_the_sides_rows_are_not_flipped_and_their_control_is():
     assert flips["radiate"] == 0.5, "what right_from_flipped starts from"
 
 
-def test_the_target_comes_by_share_and_by_number_of_frames():
+def test_the_target_comes_by_share_and_by_number_of_frames(jobs: list[TrainingJob]):
     rows = ("radiate", "radiate_from_kradar", "radiate_from_kradar_statistics", "radiate_from_kradar_frozen")
     for row in rows:
         counts = {SHIPPED.frames_of(row, share) for share in SHIPPED.shares_of(row)}
         assert counts >= {25, 100, 400, 500}
         assert {0.05, 0.25, 1.0} <= set(SHIPPED.shares_of(row))
-    frozen = next(run for run in runs_of(SHIPPED)[1] if run.row == "radiate_from_kradar_frozen")
-    assert experiment_tree(SHIPPED, frozen, data=ANY, start=ANY)["training"]["start"]["freeze"] == ("trunk",)
+    frozen = next(job for job in jobs if job.runs == ("radiate_from_kradar_frozen",))
+    assert frozen.experiment.training.start.freeze == ("trunk",)
 
 
 def test_each_cause_is_switched_on_alone():
@@ -76,13 +94,12 @@ def test_each_cause_is_switched_on_alone():
     assert {(row.world, row.flip) for row in targets} == {("right", 0.0)}
 
 
-def test_a_row_without_steps_starts_from_another():
-    run = next(run for run in runs_of(SHIPPED)[1] if run.row == "radiate_untrained_statistics")
-    tree = experiment_tree(SHIPPED, run, data=ANY, start=ANY)
-    assert tree["training"]["steps"] == 0
+def test_a_row_without_steps_starts_from_another(jobs: list[TrainingJob]):
+    training = next(job for job in jobs if job.runs == ("radiate_untrained_statistics",)).experiment.training
+    assert training.steps == 0
     assert SHIPPED.frames_of("radiate_untrained_statistics", 1.0) == 100
     assert SHIPPED.frames_of("radiate_untrained", 1.0) == 0
-    assert tree["training"]["start"]["statistics"] == {"reestimate_batches": 50}
+    assert training.start.statistics.reestimate_batches == 50
     rows = {name: row.model_dump() for name, row in SHIPPED.rows.items()}
     rows["kradar"]["steps"] = 0
     with pytest.raises(FileFormatError, match="without steps"):
@@ -116,7 +133,7 @@ def test_a_gain_is_decided_and_no_gain_is_not():
         noise = 0.004 * (seed - 1)
         scores += [scored("radiate", s, seed, 0.3 + noise) for s in SHIPPED.shares]
         scores += [scored("radiate_from_kradar", s, seed, (0.5 if s < 0.1 else 0.301) - noise) for s in SHIPPED.shares]
-    cells = {(cell.compared.id, cell.share): cell.decision for cell in cells_of(SHIPPED, by_row(scores))}
+    cells = {(cell.comparison.id, cell.share): cell.decision for cell in cells_of(SHIPPED, by_row(scores))}
     assert cells["T1", 0.05].verdict == "holds"
     assert cells["T1", 1.0].verdict == "undecided"
     assert set(cells) == {("T1", share) for share in SHIPPED.shares}
@@ -166,25 +183,38 @@ def test_a_tiny_table_runs_and_is_not_done_again(tmp_path):
     before = weights.stat().st_mtime_ns
     transfer.run()
     assert weights.stat().st_mtime_ns == before
+    assert all(scores["clock"]["processor_s"] > 0 for scores in transfer.scores())
 
 
-def test_the_whole_costs_what_its_parts_do():
-    costs = {name: TransferCost(frame_s=1.0, step_s=0.2, score_s=0.1) for name in ("kradar", "left", "right")}
-    runs = [run for wave in runs_of(SHIPPED, (0,)) for run in wave]
-    simulating, training = core_seconds(SHIPPED, costs, runs)
+def test_the_table_costs_what_its_parts_do(jobs: list[TrainingJob]):
+    worlds = ("kradar", "left", "right")
+    rates = {name: RunRate(step_s=0.2, begin_s=1.0, frame_s=0.1) for name in worlds}
+    of_seed = [job for job in jobs if job.seed == 0]
+    simulating, training = core_seconds(SHIPPED, dict.fromkeys(worlds, 1.0), rates, of_seed)
     frames = {"kradar": 116 + 58, "left": 500 + 58, "right": 116 + 58}
     assert simulating == pytest.approx(sum(frames.values()))
-    trained, again = 48, 11  # two runs take no step, eleven take their statistics anew
-    assert len(runs) == 50
+    trained, again = 48, 11  # two runs take no step, eleven estimate their statistics anew
+    assert len(of_seed) == 50
     assert training == pytest.approx(0.2 * (trained * 300 + again * 50) + 0.1 * 50 * 58)
 
 
-def test_a_world_is_measured_by_a_small_table_of_its_own():
-    small = small_table(SHIPPED, "right")
-    ((run,),) = [wave for wave in runs_of(small, (0,)) if wave]
-    assert (run.row, run.share, small.frames_of("right", 1.0)) == ("right", 1.0, 2)
-    assert small.training["steps"] == STEPS
-    assert small.worlds["right"].train.traffic == "right"
+def test_scores_of_older_runs_hold_their_clock_and_failed_runs_do_not_count(tmp_path: Path):
+    transfer = TransferExperiment(table=SHIPPED, out=tmp_path)
+    trees = {
+        "s0-radiate-100": scored("radiate", 1.0, 0, 0.3),
+        "s1-radiate-100": {name: value for name, value in scored("radiate", 1.0, 1, 0.3).items() if name != "clock"},
+        "s2-radiate-100": {"runs": ["radiate"], "seed": 2, "clouds": {}, "failed": "diverged: non-finite"},
+    }
+    for folder, tree in trees.items():
+        (transfer.runs_folder / folder).mkdir(parents=True)
+        (transfer.runs_folder / folder / "scores.json").write_text(json.dumps(tree))
+    lines = [{"training_s": 9.0, "processor_s": 9.0}, {"training_s": 1.0, "processor_s": 2.0, "scoring_s": 1.0}]
+    clock = transfer.runs_folder / "s1-radiate-100" / "clock.jsonl"
+    clock.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    older, newer = transfer.scores()
+    assert older["clock"] == {"processor_s": 30.0}
+    assert newer["clock"] == {"training_s": 1.0, "processor_s": 2.0}
+    assert newer["sample"] == older["sample"] | {"draws": newer["sample"]["draws"]}
 
 
 @pytest.mark.slow

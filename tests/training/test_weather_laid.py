@@ -21,7 +21,7 @@ from farfield.experiments.schema import dump_experiment, load_experiment
 from farfield.frame import Boxes
 from farfield.papers.grid import load_grid
 from farfield.papers.jobs import DataLocations, jobs_of
-from farfield.papers.places import places_of
+from farfield.papers.locations import locations_of
 from farfield.simulation.overlay import OverlaidWeather
 from farfield.simulation.weather.conditions import Weather
 from farfield.training.config import AugmentationConfig, WeatherConfig
@@ -194,9 +194,9 @@ def test_a_grids_run_in_weather_is_known_by_the_simulators_code_too(tmp_path: Pa
     grid = load_grid(GRID)
     asked: list[tuple[str, ...]] = []
     monkeypatch.setattr(jobs, "code_digest", lambda rooms: asked.append(rooms) or "")
-    places = places_of(grid, "laptop", tmp_path)
+    places = locations_of(grid, "laptop", tmp_path)
     named = {name: name for name in places}
-    found = jobs_of(grid, "laptop", (), DataLocations(places=places, fingerprints=named), tmp_path)
+    found = jobs_of(grid, "laptop", (), DataLocations(locations=places, fingerprints=named), tmp_path)
     assert len(found) == 42  # alike until thresholds and steps are set: four rows of the LiDAR are one
     laid = sum("simulation" in rooms for rooms in asked)
     assert laid == 27

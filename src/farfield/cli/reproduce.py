@@ -72,10 +72,10 @@ def run(
         data=data,
         source=source,
         progress=_shown,
-        said=partial(print, flush=True),
+        report=partial(print, flush=True),
     )
     if dry_run:
-        for line in reproduction.rehearsed():
+        for line in reproduction.dry_run():
             print(line)
         would_write("data, runs, reproduction.json and report.html", reproduction.out)
         return 0
@@ -103,22 +103,25 @@ def _transfer(
     dry_run: bool,
 ) -> int:
     """K-Radar's table of transfer."""
-    from farfield.papers.transfer import TransferExperiment, load_table, outline, runs_of
+    from farfield.papers.transfer import TransferExperiment, load_table
 
     if paper != "kradar":
         raise ConfigError("--transfer and --seeds: expected the paper kradar, whose appendix G they put to the test")
-    table = load_table()
     transfer = TransferExperiment(
-        table=table, out=out, seeds=seeds, workers=workers or 1, progress=_shown, said=partial(print, flush=True)
+        table=load_table(),
+        out=out,
+        seeds=seeds,
+        workers=workers or 1,
+        progress=_shown,
+        report=partial(print, flush=True),
     )
     if plan:
-        for line in outline(table, seeds):
+        for line in transfer.outline():
             print(line)
         return 0
     if dry_run:
-        waves = runs_of(table, seeds)
-        print(f"{sum(map(len, waves))} runs of {table.training['steps']} steps, {len(waves[0])} of them to start from")
-        print(transfer.sets.wanting())
+        for line in transfer.dry_run():
+            print(line)
         would_write("data, runs, a page, transfer.txt and transfer.json", out)
         return 0
     if not page:

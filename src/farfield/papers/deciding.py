@@ -1,15 +1,19 @@
-"""The decision on every claim of a grid: differences paired by seed, pooled spreads, verdicts, Holm's column, power."""
+"""The decision on every comparison of a grid: differences paired by seed, pooled spreads, verdicts, Holm, power.
+
+:func:`decide_all` is the rule, the same for the papers' grids and the table of transfer; :class:`DecisionRule` takes
+the differences of a paper's claims from what its runs scored.
+"""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from farfield.metrics.deciding import (
     Decision,
     Difference,
+    Hypothesis,
     ScoreSample,
-    Spread,
     decide,
     difference_of,
     holm,
@@ -18,11 +22,82 @@ from farfield.metrics.deciding import (
 )
 from farfield.papers.claims import Claim, Claims, ClaimSide, Comparison
 from farfield.papers.grid import BudgetSettings, ExperimentGrid, Tree
-from farfield.papers.needs import need_of
-from farfield.papers.scoring import sample_of
-from farfield.papers.statistics import AnnotatedObjects, compared
+from farfield.papers.scoring import need_of, sample_of
+from farfield.papers.statistics import AnnotatedObjects, statistic_difference
 
 Role = Literal["comparison", "control"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowDifference:
+    """The difference between two rows, before it is decided.
+
+    Args:
+        difference: The difference; None where a row was not run.
+        seeds: Seeds that both rows have.
+        hypothesis: What is claimed of it.
+        pool: Differences of one pool have one spread over seeds; empty for a difference without seeds.
+        all_zero: Whether both rows score 0 with all seeds: equal zeros are no agreement.
+        corrected: Whether it takes part in Holm's correction.
+    """
+
+    difference: Difference | None = None
+    seeds: tuple[int, ...] = ()
+    hypothesis: Hypothesis = field(default_factory=Hypothesis)
+    pool: str = ""
+    all_zero: bool = False
+    corrected: bool = True
+
+
+def row_difference(
+    a: Mapping[int, ScoreSample], b: Mapping[int, ScoreSample], *, pool: str, **options: Any
+) -> RowDifference:
+    """The difference of two rows over the seeds that both have.
+
+    Args:
+        a: A number of the first row, by seed.
+        b: The same of the second.
+        pool: As of :class:`RowDifference`, and so the other options.
+        options: Its further fields.
+    """
+    seeds = tuple(sorted(a.keys() & b.keys()))
+    if not seeds:
+        return RowDifference(**options)
+    difference = difference_of([a[seed] for seed in seeds], [b[seed] for seed in seeds])
+    return RowDifference(difference=difference, seeds=seeds, pool=pool, **options)
+
+
+def decide_all(rows: Sequence[RowDifference]) -> list[tuple[Decision | None, Decision | None]]:
+    """Decide on differences: each decision, and the same after Holm's correction; None where there is none.
+
+    The variance of a difference is s_seed^2 / n + s_seq^2 (:mod:`farfield.metrics.deciding`), s_seed pooled over all
+    differences of its pool.
+
+    Args:
+        rows: The differences of a report.
+    """
+    # the spread over seeds of each pool; rows that score nothing do not scatter and do not count
+    pools: dict[str, list[Difference]] = defaultdict(list)
+    for row in rows:
+        if row.pool and row.difference is not None and not row.all_zero:
+            pools[row.pool].append(row.difference)
+    spreads = {pool: pooled(differences) for pool, differences in pools.items()}
+    # each interval against what is claimed
+    decisions: list[Decision | None] = []
+    for row in rows:
+        if row.difference is None:
+            decisions.append(None)
+        elif row.all_zero:
+            nothing = Decision(
+                verdict="no decision", difference=row.difference, hypothesis=row.hypothesis, reason="nothing found"
+            )
+            decisions.append(nothing)
+        else:
+            decisions.append(decide(row.difference.with_pooled(spreads.get(row.pool)), row.hypothesis))
+    # Holm's correction (1979)
+    tested = {index: decision for index, decision in enumerate(decisions) if decision and rows[index].corrected}
+    adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
+    return [(decision, adjusted.get(index)) for index, decision in enumerate(decisions)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,27 +111,26 @@ class Scores:
     by_run: Mapping[str, Mapping[int, Tree]]
 
     @classmethod
-    def of(cls, found: Iterable[Tree]) -> "Scores":
-        """Sort the scores of jobs."""
+    def of(cls, trees: Iterable[Tree]) -> "Scores":
+        """Sort the scores of jobs; those that diverged have none."""
         by_run: dict[str, dict[int, Tree]] = defaultdict(dict)
-        for scores in found:
+        for scores in trees:
             for run in scores["runs"] if not scores.get("failed") else ():
                 by_run[run][int(scores["seed"])] = scores
         return cls(by_run={run: dict(sorted(seeds.items())) for run, seeds in by_run.items()})
 
     def samples(self, run: str, cloud: str, name: str) -> dict[int, ScoreSample]:
         """A number of a run, by seed."""
-        found = {}
-        for seed, scores in self.by_run.get(run, {}).items():
-            kept = scores["clouds"].get(cloud, {}).get("samples", {}).get(name)
-            if kept is not None:
-                found[seed] = sample_of(kept)
-        return found
+        trees = {
+            seed: scores["clouds"].get(cloud, {}).get("samples", {}).get(name)
+            for seed, scores in self.by_run.get(run, {}).items()
+        }
+        return {seed: sample_of(tree) for seed, tree in trees.items() if tree is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
 class DecidedComparison:
-    """A comparison of a claim, in one metric, and what became of it.
+    """A comparison of a claim, in one metric, and its decision.
 
     Args:
         claim: The claim.
@@ -66,7 +140,7 @@ class DecidedComparison:
         seeds: Seeds that both rows have.
         decision: The decision; None where a row was not run.
         adjusted: The same after Holm's correction over all comparisons of the report.
-        power: Probability of "holds" were the published difference the truth; None where that is not known.
+        power: Probability of "holds" were the published difference the truth; None where it cannot be computed.
         pool: What its spread was pooled with.
     """
 
@@ -85,34 +159,29 @@ class DecidedComparison:
         """Whether its metric is the claim's first, which decides."""
         return self.metric == self.claim.metrics[0]
 
-
-@dataclass
-class _MeasuredDifference:
-    """A comparison whose difference is known, before it is decided."""
-
-    claim: Claim
-    pair: Comparison
-    role: Role
-    metric: str
-    seeds: tuple[int, ...] = ()
-    difference: Difference | None = None
-    pool: str = ""
-    empty: bool = False  # no row found anything: equal zeros are no agreement
-
-    def decision(self, spread: Spread | None) -> Decision | None:
-        if self.difference is None:
-            return None
-        if self.empty:
-            hypothesis = self.pair.hypothesis
-            return Decision(
-                verdict="no decision", difference=self.difference, hypothesis=hypothesis, reason="nothing found"
-            )
-        return decide(self.difference.with_pooled(spread), self.pair.hypothesis)
+    def to_json(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        return {
+            "claim": self.claim.id,
+            "role": self.role,
+            "metric": self.metric,
+            "a": self.pair.a.model_dump(mode="json"),
+            "b": self.pair.b.model_dump(mode="json"),
+            "kind": self.pair.kind,
+            "margin": self.pair.margin,
+            "excludes": self.pair.excludes,
+            "published": self.pair.published(self.metric),
+            "seeds": list(self.seeds),
+            "pooled_with": self.pool,
+            "decision": None if self.decision is None else self.decision.to_json(),
+            "adjusted": None if self.adjusted is None else {"verdict": self.adjusted.verdict, "p": self.adjusted.p},
+            "power": self.power,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionRule:
-    """What decisions rest on.
+    """What decisions on a paper's claims rest on.
 
     Args:
         claims: The claims.
@@ -129,64 +198,53 @@ class DecisionRule:
     objects: AnnotatedObjects | None = None
     cached: dict[str, dict[int, ScoreSample]] = field(default_factory=dict)
 
-    def decided(self) -> list[DecidedComparison]:
+    def decide(self) -> list[DecidedComparison]:
         """All comparisons and controls of all claims in all their metrics, in the claims' order."""
-        found = [self._found(*each) for each in self._all()]
-        pools = {each.pool for each in found if each.pool}
-        spreads = {pool: pooled(_differences(found, pool)) for pool in pools}
-        decisions = [each.decision(spreads.get(each.pool)) for each in found]
-        adjusted = self._adjusted(found, decisions)
+        comparisons = list(self._comparisons())
+        rows = [self._difference(*comparison) for comparison in comparisons]
         return [
             DecidedComparison(
-                claim=each.claim,
-                pair=each.pair,
-                role=each.role,
-                metric=each.metric,
-                seeds=each.seeds,
+                claim=claim,
+                pair=pair,
+                role=role,
+                metric=metric,
+                seeds=row.seeds,
                 decision=decision,
-                adjusted=corrected,
-                power=_power(each, decision),
-                pool=each.pool,
+                adjusted=adjusted,
+                power=_power(pair.published(metric), decision),
+                pool=row.pool,
             )
-            for each, decision, corrected in zip(found, decisions, adjusted, strict=True)
+            for (claim, pair, role, metric), row, (decision, adjusted) in zip(
+                comparisons, rows, decide_all(rows), strict=True
+            )
         ]
 
-    def _all(self) -> Iterable[tuple[Claim, Comparison, Role, str]]:
+    def _comparisons(self) -> Iterator[tuple[Claim, Comparison, Role, str]]:
         for claim in self.claims:
             for metric in claim.metrics:
                 yield from ((claim, pair, "comparison", metric) for pair in claim.comparisons)
                 yield from ((claim, pair, "control", metric) for pair in claim.controls)
 
-    @staticmethod
-    def _adjusted(found: Sequence[_MeasuredDifference], decisions: Sequence[Decision | None]) -> list[Decision | None]:
-        """Holm's correction over the comparisons that decide claims: first metrics, no controls."""
-        places = [
-            place
-            for place, (each, decision) in enumerate(zip(found, decisions, strict=True))
-            if decision is not None and each.role == "comparison" and each.metric == each.claim.metrics[0]
-        ]
-        corrected = holm([decision for place in places if (decision := decisions[place]) is not None])
-        result: list[Decision | None] = [None] * len(found)
-        for place, decision in zip(places, corrected, strict=True):
-            result[place] = decision
-        return result
-
-    def _found(self, claim: Claim, pair: Comparison, role: Role, metric: str) -> _MeasuredDifference:
-        found = _MeasuredDifference(claim, pair, role, metric)
+    def _difference(self, claim: Claim, pair: Comparison, role: Role, metric: str) -> RowDifference:
+        """The difference of two rows; Holm's correction is over first metrics, no controls."""
+        corrected = role == "comparison" and metric == claim.metrics[0]
+        options: dict[str, Any] = {"hypothesis": pair.hypothesis, "corrected": corrected}
         statistic = self.claims.metrics[metric].statistic
         if statistic:
-            if self.objects is not None:
-                found.difference = compared(pair, statistic, self.objects, replicates=self.settings.replicates)
-            return found
+            if self.objects is None:
+                return RowDifference(**options)
+            difference = statistic_difference(pair, statistic, self.objects, replicates=self.settings.replicates)
+            return RowDifference(difference=difference, **options)
         a, b = (self._samples(row, claim, metric) for row in (pair.a, pair.b))
-        found.seeds = tuple(sorted(a.keys() & b.keys()))
-        if found.seeds:
-            found.difference = difference_of([a[seed] for seed in found.seeds], [b[seed] for seed in found.seeds])
-            found.pool = f"{metric}, {self._network(pair)}"
-            found.empty = all(row[seed].value == 0 for row in (a, b) for seed in found.seeds)
-        elif self.scores.by_run.get(pair.a.run) and self.scores.by_run.get(pair.b.run):
-            found.difference = Difference(by_seed=(), s_seq=None, groups=0)  # run, but without such a figure
-        return found
+        if a.keys() & b.keys():
+            networks = sorted({self.grid.runs[row.run].network for row in (pair.a, pair.b)})
+            all_zero = all(row[seed].value == 0 for row in (a, b) for seed in a.keys() & b.keys())
+            # spreads are pooled over pairs of one size of network
+            return row_difference(a, b, pool=f"{metric}, {' and '.join(networks)}", all_zero=all_zero, **options)
+        if self.scores.by_run.get(pair.a.run) and self.scores.by_run.get(pair.b.run):
+            no_figure = Difference(by_seed=(), s_seq=None, groups=0)  # run, but without such a figure
+            return RowDifference(difference=no_figure, **options)
+        return RowDifference(**options)
 
     def _samples(self, row: ClaimSide, claim: Claim, metric: str) -> dict[int, ScoreSample]:
         if row.run not in self.grid.runs:
@@ -197,19 +255,9 @@ class DecisionRule:
             self.cached[name] = self.scores.samples(need.run, need.cloud, need.name)
         return self.cached[name]
 
-    def _network(self, pair: Comparison) -> str:
-        """The networks of a pair: spreads are pooled over pairs of one size."""
-        return " and ".join(sorted({self.grid.runs[row.run].network for row in (pair.a, pair.b)}))
 
-
-def _differences(found: Sequence[_MeasuredDifference], pool: str) -> list[Difference]:
-    """Differences of a pool; those of rows that found nothing do not scatter and do not count."""
-    return [each.difference for each in found if each.pool == pool and each.difference is not None and not each.empty]
-
-
-def _power(found: _MeasuredDifference, decision: Decision | None) -> float | None:
-    """Power of a decision for the published difference, with the spreads that were found."""
-    published = found.pair.published(found.metric)
+def _power(published: float | None, decision: Decision | None) -> float | None:
+    """Power of a decision for the published difference, with the measured spreads."""
     if decision is None or published is None:
         return None
     difference = decision.difference
@@ -222,42 +270,22 @@ def _power(found: _MeasuredDifference, decision: Decision | None) -> float | Non
         s_seq=difference.s_seq,
         n=difference.n,
         df=spread.df,
-        hypothesis=found.pair.hypothesis,
+        hypothesis=decision.hypothesis,
     )
 
 
-def verdict_of(claim: Claim, decided: Sequence[DecidedComparison]) -> str:
+def verdict_of(claim: Claim, comparisons: Sequence[DecidedComparison]) -> str:
     """The verdict on a claim: it holds where all its comparisons do, and holds not where one does not.
 
     Args:
         claim: The claim.
-        decided: Its comparisons in its first metric, controls left out.
+        comparisons: Its comparisons in its first metric, controls left out.
     """
-    words = [each.decision.verdict if each.decision is not None else "not run" for each in decided]
-    if not words or all(word in ("not run", "no decision") for word in words):
-        return "not run" if "not run" in words or not words else "no decision"
-    if "holds not" in words:
+    verdicts = [row.decision.verdict if row.decision is not None else "not run" for row in comparisons]
+    if not verdicts or all(verdict in ("not run", "no decision") for verdict in verdicts):
+        return "not run" if "not run" in verdicts or not verdicts else "no decision"
+    if "holds not" in verdicts:
         return "holds not"
-    if all(word == "holds" for word in words):
+    if all(verdict == "holds" for verdict in verdicts):
         return "holds by construction" if claim.by_construction else "holds"
     return "undecided"
-
-
-def to_json(each: DecidedComparison) -> dict[str, Any]:
-    """A decided comparison as JSON values."""
-    return {
-        "claim": each.claim.id,
-        "role": each.role,
-        "metric": each.metric,
-        "a": each.pair.a.model_dump(mode="json"),
-        "b": each.pair.b.model_dump(mode="json"),
-        "kind": each.pair.kind,
-        "margin": each.pair.margin,
-        "excludes": each.pair.excludes,
-        "published": each.pair.published(each.metric),
-        "seeds": list(each.seeds),
-        "pooled_with": each.pool,
-        "decision": None if each.decision is None else each.decision.to_json(),
-        "adjusted": None if each.adjusted is None else {"verdict": each.adjusted.verdict, "p": each.adjusted.p},
-        "power": each.power,
-    }

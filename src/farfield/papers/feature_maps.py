@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from farfield.adaptation.probes import OccupiedFeatures, occupied_features
 from farfield.detectors.runtime import Detector
 from farfield.papers.grid import Score, Tree
-from farfield.papers.places import DataLocation
+from farfield.papers.locations import DataLocation
 from farfield.vocabulary.patterns import PATTERNS
 
 FRAMES = 6
@@ -18,7 +18,7 @@ FRAMES = 6
 SHOWN = 400
 """Cells of each domain in a picture."""
 PAIRS = {"range": ("gaussian", "range"), "pattern": ("both_shuffled", "pattern_reversal")}
-"""By what domains differ: the run before, and the run after its adaptation."""
+"""What tells the domains apart: the run before its adaptation, and the run after."""
 _RIDGE = 1e-3
 _DIGITS = 4
 
@@ -26,49 +26,52 @@ Rows = Float[np.ndarray, "n c"]
 Mask = Bool[np.ndarray, " n"]
 
 
-def feature_maps(weights: Mapping[str, Path], place: DataLocation, score: Score) -> list[Tree]:
-    """Pictures' numbers of every pair of runs that is there, as JSON values.
+def feature_maps(weights: Mapping[str, Path], location: DataLocation, score: Score) -> list[Tree]:
+    """Features of every pair of runs that is there, as JSON values.
 
     Args:
         weights: Weights of the first seed by run.
-        place: The frames that runs are scored on.
+        location: The frames that runs are scored on.
         score: How runs are scored: its ranges tell near from far.
     """
-    data = place.opened()
+    data = location.open()
     first = {sequence: index for index, (sequence, _) in reversed([*enumerate(data.keys)])}
     frames = [data[index] for index in sorted(first.values())[:FRAMES]]
-    found = []
+    pairs = []
     for by, runs in PAIRS.items():
         if all(run in weights for run in runs) and len(frames) > 1:
-            sides = [_seen(by, weights[run], frames, score) for run in runs]
-            found.append({"by": by, "runs": list(runs), "sides": [_side(*side) for side in sides]})
-    return found
+            sides = [_side(*_features(by, weights[run], frames, score)) for run in runs]
+            pairs.append({"by": by, "runs": list(runs), "sides": sides})
+    return pairs
 
 
-def _seen(by: str, weights: Path, frames: list[Any], score: Score) -> tuple[OccupiedFeatures, Mask, tuple[str, str]]:
+def _features(
+    by: str, weights: Path, frames: list[Any], score: Score
+) -> tuple[OccupiedFeatures, Mask, tuple[str, str]]:
     """Features, which of them are of the second domain, and the names of both."""
     detector = Detector.load(weights)
     if by == "range":
         edges_m = score.edges_m("III") or (0.0, 100.0, 250.0)
-        seen = occupied_features(detector, frames, PATTERNS[0])
-        return seen, seen.range_m >= edges_m[1], (f"nearer than {edges_m[1]:g} m", f"{edges_m[1]:g} m and farther")
-    each = [occupied_features(detector, frames, cloud) for cloud in PATTERNS]
-    seen = OccupiedFeatures(
-        values=np.concatenate([one.values for one in each]),
-        range_m=np.concatenate([one.range_m for one in each]),
-        frame=np.concatenate([one.frame for one in each]),
+        features = occupied_features(detector, frames, PATTERNS[0])
+        names = (f"nearer than {edges_m[1]:g} m", f"{edges_m[1]:g} m and farther")
+        return features, features.range_m >= edges_m[1], names
+    by_pattern = [occupied_features(detector, frames, cloud) for cloud in PATTERNS]
+    features = OccupiedFeatures(
+        values=np.concatenate([pattern.values for pattern in by_pattern]),
+        range_m=np.concatenate([pattern.range_m for pattern in by_pattern]),
+        frame=np.concatenate([pattern.frame for pattern in by_pattern]),
     )
-    return seen, np.repeat([False, True], [len(one.range_m) for one in each]), PATTERNS
+    return features, np.repeat([False, True], [len(pattern.range_m) for pattern in by_pattern]), PATTERNS
 
 
-def _side(seen: OccupiedFeatures, second: Mask, names: tuple[str, str]) -> Tree:
-    axes = principal(seen.values)
+def _side(features: OccupiedFeatures, second: Mask, names: tuple[str, str]) -> Tree:
+    axes = principal(features.values)
     rng = np.random.default_rng(0)
     domains = {}
     for name, mask in zip(names, (~second, second), strict=True):
         rows = np.sort(rng.permutation(np.flatnonzero(mask))[:SHOWN])
         domains[name] = np.round(axes[rows], _DIGITS).tolist()
-    return {"domains": domains, "probe": probe_accuracy(seen.values, second, seen.frame)}
+    return {"domains": domains, "probe": probe_accuracy(features.values, second, features.frame)}
 
 
 def principal(values: Rows) -> Float[np.ndarray, "n 2"]:
@@ -100,8 +103,8 @@ def probe_accuracy(values: Rows, second: Mask, frame: Int[np.ndarray, " n"]) -> 
     gram = (rows[learnt].T * weight) @ rows[learnt]
     gram += _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
     line = np.linalg.solve(gram, (rows[learnt].T * weight) @ np.where(second[learnt], 1.0, -1.0))
-    said, true = rows[~learnt] @ line > 0, second[~learnt]
-    return round(float((said[true].mean() + (~said[~true]).mean()) / 2), _DIGITS)
+    predicted, true = rows[~learnt] @ line > 0, second[~learnt]
+    return round(float((predicted[true].mean() + (~predicted[~true]).mean()) / 2), _DIGITS)
 
 
 def _scaled(values: Rows, reference: Float[np.ndarray, "m c"]) -> Rows:

@@ -4,30 +4,21 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
+from pydantic import Field, model_serializer, model_validator
 
-from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.files.atomic import read_bytes
-from farfield.papers.claims import CLAIMS
-from farfield.papers.claims.schema import BUDGETS, Budget
+from farfield.papers.claims.schema import BUDGETS, Budget, DeclaredModel, declared_path, read_declared
 from farfield.vocabulary.conditions import Side
 
 _FOLDER = Path(__file__).resolve().parent
-_MAX_BYTES = 1 << 20
 LEAST_STEPS = 200
-"""Steps below which no run is taken: what is found then says nothing of a method."""
+"""Steps below which no run is trained: its scores would say nothing of a method."""
 LEAST_SEEDS = 3
 """Seeds below which no shipped budget goes."""
 
 Tree = dict[str, Any]
 
 
-class _GridModel(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SimulatedSet(_GridModel):
+class SimulatedSet(DeclaredModel):
     """A data set that is simulated for the grid."""
 
     preset: str
@@ -40,19 +31,19 @@ class SimulatedSet(_GridModel):
     traffic: Side | None = Field(None, description="on which side it keeps; the preset's own if left out")
 
     @model_serializer(mode="wrap")
-    def _said(self, others: Callable[[Any], Tree]) -> Tree:
-        """All settings; the side only where it is said, so that data are known as before."""
-        return {name: value for name, value in others(self).items() if name != "traffic" or value is not None}
+    def _without_default_side(self, serialize: Callable[[Any], Tree]) -> Tree:
+        """All settings; the side of the traffic only where it is set, so that hashes of older sets stay."""
+        return {name: value for name, value in serialize(self).items() if name != "traffic" or value is not None}
 
 
-class RealSet(_GridModel):
+class RealSet(DeclaredModel):
     """Where a data set is taken from if the user has real data."""
 
     of: Literal["data", "source"] = Field("data", description="the folder given as data or as the other device")
     split: str = Field("", description="its train, val or test part; all of it if empty")
 
 
-class GridStream(_GridModel):
+class GridStream(DeclaredModel):
     """What a stream of a training reads."""
 
     set: str
@@ -61,7 +52,7 @@ class GridStream(_GridModel):
     options: Tree = Field(default_factory=dict, description="options of the data set's reader")
 
 
-class GridRun(_GridModel):
+class GridRun(DeclaredModel):
     """A training of the grid, once a seed."""
 
     words: str
@@ -76,7 +67,7 @@ class GridRun(_GridModel):
     least_budget: Budget = "laptop"
 
 
-class Score(_GridModel):
+class Score(DeclaredModel):
     """How runs are scored: a protocol, its settings, and what it calls the parts that claims name."""
 
     protocol: str
@@ -108,7 +99,7 @@ class Score(_GridModel):
         return {**self.settings, **({"range_bins_m": edges_m} if edges_m else {})}
 
 
-class BudgetSettings(_GridModel):
+class BudgetSettings(DeclaredModel):
     """What a budget makes of the grid."""
 
     words: str
@@ -142,12 +133,12 @@ class BudgetSettings(_GridModel):
         return self.model_copy(update={"steps": self._lowered(self.steps, share), "steps_of": steps_of})
 
     def _lowered(self, steps: int, share: float | int) -> int:
-        wanted = int(steps * share)
-        wanted -= wanted % 10 if wanted > 10 else 0
-        return min(steps, max(min(self.least_steps, steps), wanted))
+        fewer = int(steps * share)
+        fewer -= fewer % 10 if fewer > 10 else 0
+        return min(steps, max(min(self.least_steps, steps), fewer))
 
 
-class ExperimentGrid(_GridModel):
+class ExperimentGrid(DeclaredModel):
     """A file of a grid."""
 
     paper: Literal["cirrus", "kradar"]
@@ -159,12 +150,12 @@ class ExperimentGrid(_GridModel):
     budgets: dict[str, BudgetSettings]
 
     @model_validator(mode="after")
-    def _names_what_there_is(self) -> "ExperimentGrid":
+    def _check_names(self) -> "ExperimentGrid":
         for name, run in self.runs.items():
             if run.start and (run.start not in self.runs or self.runs[run.start].start):
                 raise ValueError(f"{name}: expected to start from a run that starts from none; got {run.start!r}")
-        for called, budget in self.budgets.items():
-            _check_budget(self, called, budget)
+        for name, budget in self.budgets.items():
+            _check_budget(self, name, budget)
         return self
 
     def sets_of(self, budget: str) -> tuple[str, ...]:
@@ -185,18 +176,17 @@ class ExperimentGrid(_GridModel):
         }
 
 
-def _check_budget(grid: ExperimentGrid, called: str, budget: BudgetSettings) -> None:
-    for name, run in grid.runs_of(called).items():
+def _check_budget(grid: ExperimentGrid, name: str, budget: BudgetSettings) -> None:
+    for run_name, run in grid.runs_of(name).items():
         if run.network not in budget.networks:
-            raise ValueError(f"budget {called}, run {name}: expected a network among {', '.join(budget.networks)}")
-        for stream in run.streams.values():
-            if stream.set not in budget.sets:
-                raise ValueError(f"budget {called}, run {name}: expected a set among {', '.join(budget.sets)}")
-    missing = [name for name in (*budget.scored_on, *budget.statistics_on) if name not in budget.sets]
+            raise ValueError(f"budget {name}, run {run_name}: expected a network among {', '.join(budget.networks)}")
+        if any(stream.set not in budget.sets for stream in run.streams.values()):
+            raise ValueError(f"budget {name}, run {run_name}: expected a set among {', '.join(budget.sets)}")
+    missing = [set_name for set_name in (*budget.scored_on, *budget.statistics_on) if set_name not in budget.sets]
     if missing:
-        raise ValueError(f"budget {called}: expected sets among {', '.join(budget.sets)}; got {', '.join(missing)}")
+        raise ValueError(f"budget {name}: expected sets among {', '.join(budget.sets)}; got {', '.join(missing)}")
     if min(budget.steps, *budget.steps_of.values(), budget.steps) < budget.least_steps:
-        raise ValueError(f"budget {called}: expected at least {budget.least_steps} steps of every run")
+        raise ValueError(f"budget {name}: expected at least {budget.least_steps} steps of every run")
 
 
 def load_grid(name_or_path: str | Path) -> ExperimentGrid:
@@ -206,23 +196,15 @@ def load_grid(name_or_path: str | Path) -> ExperimentGrid:
         ConfigError: If there is no such file.
         FileFormatError: If it declares something that is not there.
     """
-    path = _FOLDER / f"{name_or_path}.yaml" if name_or_path in CLAIMS else Path(name_or_path)
-    if not path.is_file():
-        raise ConfigError(f"grid: expected one of {', '.join(CLAIMS)} or a YAML file, got {name_or_path!s}")
-    try:
-        return ExperimentGrid.model_validate(yaml.safe_load(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8")))
-    except ValidationError as error:
-        raise FileFormatError(path, where="keys", expected="a declared grid", found=plain(error)) from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="YAML", found=plain(error)) from None
+    return read_declared(declared_path(name_or_path, "grid", _FOLDER), ExperimentGrid, "a declared grid")[0]
 
 
-def merged(*trees: Mapping[str, Any]) -> Tree:
+def merge_trees(*trees: Mapping[str, Any]) -> Tree:
     """Trees of settings laid over one another: groups are joined, what stands in a later one wins."""
     result: Tree = {}
     for tree in trees:
         for key, value in tree.items():
             before = result.get(key)
             both = isinstance(before, Mapping) and isinstance(value, Mapping)
-            result[key] = merged(before, value) if both else value  # type: ignore[arg-type]
+            result[key] = merge_trees(before, value) if both else value  # type: ignore[arg-type]
     return result

@@ -3,16 +3,16 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.experiments.schema import Experiment
-from farfield.papers.claims import Claim
-from farfield.papers.grid import ExperimentGrid, GridRun, Tree, merged
-from farfield.papers.places import DataLocation
+from farfield.papers.claims import Claim, ClaimSide
+from farfield.papers.grid import ExperimentGrid, Tree, merge_trees
+from farfield.papers.locations import DataLocation
 
 _TRAINING_ROOMS = (
     "adaptation",
@@ -28,7 +28,7 @@ _TRAINING_ROOMS = (
 _SCORING_ROOMS = ("evaluation", "metrics")
 _SOURCE = Path(__file__).resolve().parents[1]
 _INERT = ("checkpoint_every_s", "log_every_steps", "tensorboard", "workers")
-"""Settings of a training that change none of its weights."""
+"""Settings of a training that do not change its weights."""
 _KEY_DIGITS = 12
 
 
@@ -43,7 +43,7 @@ class TrainingJob:
         key: Hash of the experiment, the data and the code that trains.
         clouds: Clouds that it is scored on.
         start: Folder of the job whose weights it starts from; empty for none.
-        network: The budget's name of its network.
+        network: The budget's name of its network; of the table of transfer the world, whose clouds a step reads.
     """
 
     runs: tuple[str, ...]
@@ -61,25 +61,24 @@ class TrainingJob:
 
     @property
     def kind(self) -> str:
-        """Jobs of one kind take as long a step: what a step does, whatever it learns from."""
+        """Hash of what a step does, whatever it learns from: the steps of jobs of one kind take equally long."""
         tree = self.experiment.model_dump(mode="json")
         method = {name: value for name, value in tree["method"].items() if name != "start"}
         groups = tree["data"] if "path" not in tree["data"] else {"": tree["data"]}
         clouds = {name: group["clouds"] for name, group in groups.items()}
-        said = [self.network, tree["detector"], method, clouds, tree["training"]["batch_size"]]
-        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
+        return _digest([self.network, tree["detector"], method, clouds, tree["training"]["batch_size"]])
 
 
 @dataclass(frozen=True, kw_only=True)
 class DataLocations:
-    """Where jobs find data: each set's place, and the fingerprint of the frames there.
+    """Where jobs find data, and which frames stand there.
 
     Args:
-        places: Where the sets stand.
-        fingerprints: What tells their frames, by set.
+        locations: Where the sets stand.
+        fingerprints: Fingerprint of the frames of each set.
     """
 
-    places: Mapping[str, DataLocation]
+    locations: Mapping[str, DataLocation]
     fingerprints: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -108,50 +107,41 @@ def jobs_of(
     if budget not in grid.budgets:
         raise ConfigError(f"budget: expected one of {', '.join(grid.budgets)}; got {budget!r}")
     clouds = _scored_clouds(grid, claims)
-    chosen = grid.runs_of(budget)
-    ordered = sorted(chosen, key=lambda name: bool(chosen[name].start))  # who gives a start comes before who takes it
+    runs = grid.runs_of(budget)
+    ordered = sorted(runs, key=lambda name: bool(runs[name].start))  # those that others start from come first
     jobs: dict[str, TrainingJob] = {}
     for seed in range(grid.budgets[budget].seeds):
-        own: dict[str, TrainingJob] = {}
+        of_seed: dict[str, TrainingJob] = {}
         for name in ordered:
-            job = _job(grid, budget, name, seed, data, runs_folder, own, steps_share)
-            same = jobs.get(job.key)
-            runs = (name,) if same is None else (*same.runs, name)
-            scored = sorted({cloud for run in runs for cloud in clouds.get(run, ())})
-            known = job if same is None else same
-            own[name] = jobs[job.key] = TrainingJob(
-                runs=runs,
-                seed=seed,
-                experiment=known.experiment,
-                key=job.key,
-                clouds=tuple(scored),
-                start=known.start,
-                network=known.network,
-            )
+            start = of_seed.get(runs[name].start)
+            job = _job(grid, budget, name, seed, data, runs_folder, start, steps_share)
+            job = jobs.get(job.key, job)  # two runs of one experiment are one job
+            names = tuple(dict.fromkeys((*job.runs, name)))
+            scored = sorted({cloud for run in names for cloud in clouds.get(run, ())})
+            of_seed[name] = jobs[job.key] = replace(job, runs=names, clouds=tuple(scored))
     return list(jobs.values())
 
 
 def waves(jobs: Iterable[TrainingJob]) -> list[list[TrainingJob]]:
     """Jobs that others start from, then all others; each seed by seed."""
-    listed = list(jobs)
-    awaited = {job.start for job in listed if job.start}
-    first = [job for job in listed if job.folder in awaited]
-    return [wave for wave in (first, [job for job in listed if job.folder not in awaited]) if wave]
+    every = list(jobs)
+    starts = {job.start for job in every if job.start}
+    first = [job for job in every if job.folder in starts]
+    return [wave for wave in (first, [job for job in every if job.folder not in starts]) if wave]
 
 
 def _scored_clouds(grid: ExperimentGrid, claims: Iterable[Claim]) -> dict[str, list[str]]:
     """Clouds that each run is scored on: those that claims name, and its own."""
-    pairs = [pair for claim in claims for pair in (*claim.comparisons, *claim.controls)]
-    rows = [row for pair in pairs for row in (pair.a, pair.b) if row.run]
     clouds: dict[str, list[str]] = {name: list(run.scored) for name, run in grid.runs.items()}
-    for row in rows:
+    for row in (row for claim in claims for pair in claim.pairs for row in (pair.a, pair.b)):
         if row.run in clouds:
-            clouds[row.run].append(row.cloud or _only_cloud(grid.runs[row.run]))
+            clouds[row.run].append(cloud_of(row, grid))
     return clouds
 
 
-def _only_cloud(run: GridRun) -> str:
-    return next(iter(run.streams.values())).clouds[0]
+def cloud_of(row: ClaimSide, grid: ExperimentGrid) -> str:
+    """The cloud that a row is scored on: the one it names, or the only one that its run learns from."""
+    return row.cloud or next(iter(grid.runs[row.run].streams.values())).clouds[0]
 
 
 def _job(
@@ -161,21 +151,19 @@ def _job(
     seed: int,
     data: DataLocations,
     runs_folder: Path,
-    own: Mapping[str, TrainingJob],
+    start: TrainingJob | None,
     steps_share: float,
 ) -> TrainingJob:
-    run, start = grid.runs[name], own.get(grid.runs[name].start)
-    tree = _tree(grid, budget, name, seed, data, steps_share)
+    run, tree = grid.runs[name], _tree(grid, budget, name, seed, data, steps_share)
     if start is not None:
         tree["method"]["start"] = str(runs_folder / start.folder)
     experiment = Experiment.model_validate(tree)
     fingerprints = {stream: data.fingerprints.get(source.set, "") for stream, source in run.streams.items()}
-    key = _key(experiment, fingerprints, start.key if start else "")
     return TrainingJob(
         runs=(name,),
         seed=seed,
         experiment=experiment,
-        key=key,
+        key=_key(experiment, fingerprints, start.key if start else ""),
         clouds=(),
         start=start.folder if start else "",
         network=run.network,
@@ -187,17 +175,17 @@ def _tree(grid: ExperimentGrid, budget: str, name: str, seed: int, data: DataLoc
     run, settings = grid.runs[name], grid.budgets[budget].lowered(steps_share)
     groups = {
         stream: {
-            "path": data.places[source.set].path,
-            "split": data.places[source.set].split or None,
+            "path": data.locations[source.set].path,
+            "split": data.locations[source.set].split or None,
             "clouds": source.clouds,
             "part": source.part,
-            "options": {**data.places[source.set].options, **source.options},
+            "options": {**data.locations[source.set].options, **source.options},
             "aliases": grid.aliases,
         }
         for stream, source in run.streams.items()
     }
     changes = {name: tree for name, tree in settings.augmentation.items() if name in run.augmentation}
-    training = merged(grid.training, settings.training)
+    training = merge_trees(grid.training, settings.training)
     training |= {
         "steps": settings.steps_for(run.network),
         "batch_size": round(run.batch * settings.batch),
@@ -206,9 +194,9 @@ def _tree(grid: ExperimentGrid, budget: str, name: str, seed: int, data: DataLoc
     return {
         "name": f"{name}-s{seed}",
         "data": next(iter(groups.values())) if len(groups) == 1 else groups,
-        "method": merged(settings.method.get(str(run.method["name"]), {}), run.method),
+        "method": merge_trees(settings.method.get(str(run.method["name"]), {}), run.method),
         "detector": settings.networks[run.network],
-        "augmentation": merged(grid.augmentation, changes, run.augmentation),
+        "augmentation": merge_trees(grid.augmentation, changes, run.augmentation),
         "training": training,
     }
 
@@ -221,15 +209,14 @@ def _key(experiment: Experiment, fingerprints: Mapping[str, str], start: str) ->
         del group["path"]
     for setting in _INERT:
         tree["training"].pop(setting, None)
-    rooms = (*_TRAINING_ROOMS, "simulation") if _lays_weather(tree) else _TRAINING_ROOMS
-    said = [tree, dict(sorted(fingerprints.items())), start, code_digest(rooms)]
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
-
-
-def _lays_weather(tree: Mapping[str, Any]) -> bool:
-    """Whether an experiment lays the simulator's weather over its frames."""
     strong = tree["method"].get("strong") or {}
-    return bool(tree["augmentation"].get("weather") or strong.get("weather"))
+    simulates = bool(tree["augmentation"].get("weather") or strong.get("weather"))  # weather laid over its frames
+    rooms = (*_TRAINING_ROOMS, "simulation") if simulates else _TRAINING_ROOMS
+    return _digest([tree, dict(sorted(fingerprints.items())), start, code_digest(rooms)])
+
+
+def _digest(tree: list[Any]) -> str:
+    return hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
 
 
 @cache

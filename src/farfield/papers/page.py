@@ -1,5 +1,9 @@
-"""The page of a reproduction: the paper's figure, ours, the decision on each claim, and plainly what was simulated."""
+"""The page of a reproduction: the paper's figure, ours, the decision on each claim, and plainly what was simulated.
 
+Of memory it shows the peak of the processes that trained and scored, as K-Radar's Table 9 has it of the GPU.
+"""
+
+import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,12 +14,13 @@ from farfield.figures.plots import precision_recall
 from farfield.figures.style import figure_uri
 from farfield.files.atomic import write_text
 from farfield.pages.template import PageImage, render_template
-from farfield.papers.memory_table import MEMORY, brought, memory_rows, unmeasured, with_memory
 from farfield.papers.radar_sheets import SheetGroup
-from farfield.papers.scenario_tables import scenarios
+from farfield.papers.scenarios import NOTHING, scenario_tables
 from farfield.vocabulary.patterns import PATTERNS
 
-NOTHING = "–"
+MEMORY = "memory_mb"
+"""The figure as published tables call it."""
+MEMORY_WORDS = "peak memory of the process (paper: of the GPU)"
 _TITLES = {"cirrus": "Cirrus, put to the test", "kradar": "K-Radar, put to the test"}
 _RELATIONS = {"above": "above", "not_below": "not below", "equivalent": "as good as"}
 _TONES = {"holds": "good", "holds by construction": "good", "holds not": "bad"}
@@ -123,44 +128,40 @@ def write_page(
         objects: Range, class, weather and points of every annotated object, for pictures of the data.
         sheets: Figures of single moments.
     """
-    claims = [_claim(each) for each in summary["claims"]]
+    claims = [_claim(claim) for claim in summary["claims"]]
+    simulated, scaled = summary["simulated"], summary["scaled"]
+    caption = ", ".join(word for word, holds in (("simulated", simulated), ("scaled", scaled)) if holds)
+    clocks = [clock for run in timing["runs"].values() for clock in run["clock"]]
     page = render_template(
         "reproduction.html",
         package="farfield.papers",
         title=_TITLES.get(summary["paper"], summary["paper"]),
-        caption="simulated, scaled" if summary["simulated"] and summary["scaled"] else _caption(summary),
+        caption=caption or "real data",
         summary=summary,
         headline=_headline(claims, summary),
         claims=claims,
-        tables=[_table(each, summary, timing) for each in summary["tables"]],
+        tables=[_table(table, summary, timing) for table in summary["tables"]],
         classes=summary["classes"],
-        scenarios=scenarios(summary.get("scenarios") or {}),
+        scenarios=scenario_tables(summary.get("scenarios") or {}),
         pictures=[*_pictures(summary["paper"], curves or {}, objects or {}), *_features(summary.get("features", ()))],
         sheets=[(group, group.pictures()) for group in sheets],
         memory=memory_rows(timing),
-        unmeasured=unmeasured(summary, timing),
-        minutes=_minutes(timing),
-        brought=sum(map(brought, timing["runs"].values())),
+        unmeasured=missing_memory(summary, timing),
+        minutes=sum(float(clock["processor_s"]) for clock in clocks) / 60,
+        brought=sum(map(only_scored, timing["runs"].values())),
         facts=_facts(summary, timing),
     )
     write_text(path, page)
     return path
 
 
-def _caption(summary: Mapping[str, Any]) -> str:
-    return "simulated" if summary["simulated"] else "scaled" if summary["scaled"] else "real data"
-
-
 def _headline(claims: Sequence[ClaimView], summary: Mapping[str, Any]) -> str:
-    counts = {
-        word: sum(claim.verdict.startswith(word) and not claim.verdict.startswith(f"{word} not") for claim in claims)
-        for word in ("holds", "undecided")
-    }
-    fails = sum(claim.verdict == "holds not" for claim in claims)
-    rest = len(claims) - counts["holds"] - counts["undecided"] - fails
+    holding = sum(claim.verdict in ("holds", "holds by construction") for claim in claims)
+    undecided, refuted = (sum(claim.verdict == word for claim in claims) for word in ("undecided", "holds not"))
+    rest = len(claims) - holding - undecided - refuted
     runs = summary["runs"]
     return (
-        f"Of {len(claims)} claims {counts['holds']} hold, {fails} hold not, {counts['undecided']} are undecided and "
+        f"Of {len(claims)} claims {holding} hold, {refuted} hold not, {undecided} are undecided and "
         f"{rest} could not be put to the test at this size. {runs['done']} of {runs['planned']} trainings are done."
     )
 
@@ -173,96 +174,94 @@ def _claim(claim: Mapping[str, Any]) -> ClaimView:
         verdict=claim["verdict"],
         note=claim["note"],
         tone=_TONES.get(claim["verdict"], ""),
-        comparisons=tuple(_comparison(each, claim["metrics"]) for each in claim["decided"]),
+        comparisons=tuple(_comparison(comparison, claim["metrics"]) for comparison in claim["decided"]),
     )
 
 
-def _comparison(each: Mapping[str, Any], metrics: Mapping[str, str]) -> ComparisonView:
-    decision, adjusted = each["decision"], each["adjusted"]
-    found = decision["difference"] if decision else {}
-    interval, spreads = found.get("interval"), found.get("s_seed") or {}
-    margin = f" (margin {each['margin']:g})" if each["margin"] else ""
+def _comparison(comparison: Mapping[str, Any], metrics: Mapping[str, str]) -> ComparisonView:
+    decision, adjusted = comparison["decision"], comparison["adjusted"]
+    difference = decision["difference"] if decision else {}
+    interval, spreads = difference.get("interval"), difference.get("s_seed") or {}
+    margin = f" (margin {comparison['margin']:g})" if comparison["margin"] else ""
     own = spreads.get("own")
+    relation = _RELATIONS[comparison["kind"]]
     return ComparisonView(
-        what=f"{_row(each['a'])} {_RELATIONS[each['kind']]} {_row(each['b'])}{margin}",
-        control=each["role"] == "control",
-        metric=metrics[each["metric"]],
-        published=_signed(each["published"]),
-        difference=_signed(found.get("estimate")),
+        what=f"{_row_words(comparison['a'])} {relation} {_row_words(comparison['b'])}{margin}",
+        control=comparison["role"] == "control",
+        metric=metrics[comparison["metric"]],
+        published=_signed(comparison["published"]),
+        difference=_signed(difference.get("estimate")),
         interval=f"{_signed(interval[0])} to {_signed(interval[1])}" if interval else "",
-        seeds=str(found["n"]) if found.get("trained") else "",
+        seeds=str(difference["n"]) if difference.get("trained") else "",
         spread=NOTHING if own is None else f"{own:.3f}",
         verdict=decision["words"] if decision else "not run",
         adjusted=adjusted["verdict"] if adjusted else "",
-        power=NOTHING if each["power"] is None else f"{each['power']:.0%}",
-        excludes=each["excludes"],
+        power=NOTHING if comparison["power"] is None else f"{comparison['power']:.0%}",
+        excludes=comparison["excludes"],
         tone=_TONES.get(decision["verdict"], "") if decision else "",
     )
 
 
-def _row(row: Mapping[str, Any]) -> str:
+def _row_words(row: Mapping[str, Any]) -> str:
     words = [row["run"].replace("_", " "), f"on {row['cloud']}" if row["cloud"] else ""]
-    part = row["part"].removeprefix("weather/").replace("_", " ")
-    words.append("" if part == "overall" else f"({part}{' m' if part[:1].isdigit() else ''}{_minus(row)})")
+    part, minus = (row[key].removeprefix("weather/").replace("_", " ") for key in ("part", "minus"))
+    unit, subtracted = " m" if part[:1].isdigit() else "", f" minus {minus}" if minus else ""
+    words.append("" if part == "overall" else f"({part}{unit}{subtracted})")
     words += ["[frames matched]"] if row["matched"] else []
     words += [f"[{row['metric']}]"] if row["metric"] else []
     return " ".join(word for word in words if word)
-
-
-def _minus(row: Mapping[str, Any]) -> str:
-    return f" minus {row['minus'].removeprefix('weather/').replace('_', ' ')}" if row["minus"] else ""
 
 
 def _signed(value: float | None) -> str:
     return NOTHING if value is None else f"{value:+.3f}"
 
 
-def _table(bare: Mapping[str, Any], summary: Mapping[str, Any], timing: Mapping[str, Any]) -> PaperTable:
-    table = with_memory(bare, timing)
+def _table(tree: Mapping[str, Any], summary: Mapping[str, Any], timing: Mapping[str, Any]) -> PaperTable:
+    table = with_memory(tree, timing)
     metrics, rows, left_out = table["metrics"], table["rows"], summary.get("left_out", {})
-    parts = [part for part in table["parts"] if any(_known(row, part, metric) for row in rows for metric in metrics)]
-    shown = [row for row in rows if row["n"] or row["published"]]
+    parts = [part for part in table["parts"] if any(_has(row, part, metric) for row in rows for metric in metrics)]
+    columns = []
+    for part in parts:
+        name = "all" if part == "overall" else part.removeprefix("weather/").replace("_", " ")
+        columns.append(f"{name} (ours {table['bins'][part]} m)" if part in table["bins"] else name)
     return PaperTable(
         title=f"Table {table['number']}: {table['title']}",
-        columns=tuple(_part(part, table["bins"]) for part in parts),
+        columns=tuple(columns),
         lines=tuple(
-            _line(row, parts, metric, words, first=place == 0)
-            for row in shown
-            for place, (metric, words) in enumerate(_shown(row, parts, metrics))
+            _line(row, parts, metric, words, first=index == 0)
+            for row in rows
+            if row["n"] or row["published"]
+            for index, (metric, words) in enumerate(_shown_metrics(row, parts, metrics))
         ),
         lacking=tuple(
-            f"{_called(row)} ({'not run at this budget' if row['run'] in left_out else 'no finished run yet'})"
+            f"{_row_name(row)} ({'not run at this budget' if row['run'] in left_out else 'no finished run yet'})"
             for row in rows
             if not row["n"]
         ),
     )
 
 
-def _shown(row: Mapping[str, Any], parts: Sequence[str], metrics: Mapping[str, str]) -> list[tuple[str, str]]:
+def _shown_metrics(row: Mapping[str, Any], parts: Sequence[str], metrics: Mapping[str, str]) -> list[tuple[str, str]]:
     """Metrics of a row: those that the paper prints for it; of one that it does not print the first and wDDS."""
-    known = [(name, words) for name, words in metrics.items() if any(_known(row, part, name) for part in parts)]
+    of_row = [(name, words) for name, words in metrics.items() if any(_has(row, part, name) for part in parts)]
     if not row["published"]:
-        return [each for each in known if each[0] in (next(iter(metrics)), "wdds")]
-    return known
+        return [metric for metric in of_row if metric[0] in (next(iter(metrics)), "wdds")]
+    return of_row
 
 
-def _part(part: str, bins: Mapping[str, str]) -> str:
-    name = "all" if part == "overall" else part.removeprefix("weather/").replace("_", " ")
-    return f"{name} (ours {bins[part]} m)" if part in bins else name
-
-
-def _known(row: Mapping[str, Any], part: str, metric: str) -> bool:
+def _has(row: Mapping[str, Any], part: str, metric: str) -> bool:
+    """Whether the paper or a run has a figure in a cell."""
     cell = row["cells"].get(part, {}).get(metric)
     return cell is not None and (cell["published"] is not None or cell["mean"] is not None)
 
 
-def _called(row: Mapping[str, Any]) -> str:
+def _row_name(row: Mapping[str, Any]) -> str:
     return f"{row['words']}, on {row['cloud']}"
 
 
 def _line(row: Mapping[str, Any], parts: Sequence[str], metric: str, words: str, *, first: bool) -> TableLine:
     return TableLine(
-        name=_called(row) if first else "",
+        name=_row_name(row) if first else "",
         metric=words,
         printed=bool(row["published"]),
         seeds=row["n"] if first else None,
@@ -287,20 +286,22 @@ def _figure(value: float | None, *, in_mb: bool) -> str:
     return f"{value:,.0f} MB" if in_mb else f"{value:.3f}"
 
 
-def _minutes(timing: Mapping[str, Any]) -> float:
-    """Minutes of the processor that the finished runs took."""
-    clocks = [clock for run in timing["runs"].values() for clock in run["clock"]]
-    return sum(float(clock["processor_s"]) for clock in clocks) / 60
-
-
 def _facts(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[tuple[str, str]]:
     steps = ", ".join(f"{name} {count}" for name, count in summary["steps"].items())
     sets = []
-    for name, each in summary["sets"].items():
-        made = each["simulated"]
-        what = f"{made['sequences']} x {made['frames']} frames of {made['preset']}, seed {made['seed']}" if made else ""
-        sets.append(f"{name}: {what or 'real'} ({each['fingerprint'][:12]})")
-    known = summary["environment"]
+    for name, data in summary["sets"].items():
+        simulated, source = data["simulated"], "real"
+        if simulated:
+            frames = f"{simulated['sequences']} x {simulated['frames']} frames"
+            source = f"{frames} of {simulated['preset']}, seed {simulated['seed']}"
+        sets.append(f"{name}: {source} ({data['fingerprint'][:12]})")
+    groups = []
+    for group in summary["trained_on"]:
+        device = group["device"] or "a device that its weights do not name"
+        machine = ", ".join(word for word in (device, group["precision"], f"torch {group['torch']}") if word)
+        runs = f"{group['runs']} run{'' if group['runs'] == 1 else 's'}"
+        groups.append(f"{runs}: {machine}, commit {group['commit']}")
+    here = summary["environment"]
     return [
         ("budget", f"{summary['budget']}: {summary['words']}"),
         ("seeds", str(summary["seeds"])),
@@ -308,17 +309,11 @@ def _facts(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[tuple[
         ("data", "; ".join(sets)),
         ("claims", f"declared before the runs, SHA-256 {summary['claims_sha256']}"),
         ("planned", f"{timing['planned']['core_minutes']:.0f} core minutes, {timing['planned']['workers']} workers"),
-        ("trained on", "; ".join(map(_trained, summary["trained_on"])) or NOTHING),
-        ("commit", str(known["commit"])),
-        ("versions", ", ".join(f"{name} {version}" for name, version in known["versions"].items())),
-        ("machine", f"{known['processor']}, Python {known['python']}"),
+        ("trained on", "; ".join(groups) or NOTHING),
+        ("commit", str(here["commit"])),
+        ("versions", ", ".join(f"{name} {version}" for name, version in here["versions"].items())),
+        ("machine", f"{here['processor']}, Python {here['python']}"),
     ]
-
-
-def _trained(group: Mapping[str, Any]) -> str:
-    known = [group["device"] or "a device that its weights do not name", group["precision"], f"torch {group['torch']}"]
-    runs = f"{group['runs']} run{'' if group['runs'] == 1 else 's'}"
-    return f"{runs}: {', '.join(word for word in known if word)}, commit {group['commit']}"
 
 
 def _features(pairs: Sequence[Mapping[str, Any]]) -> list[PageImage]:
@@ -336,9 +331,9 @@ def _features(pairs: Sequence[Mapping[str, Any]]) -> list[PageImage]:
 
 
 def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapping[str, Any]) -> list[PageImage]:
-    found = []
+    pictures = []
     if paper == "cirrus" and objects and set(PATTERNS) & set(objects["points"]):
-        found.append(
+        pictures.append(
             PageImage(
                 figure_uri(points_by_range(objects)),
                 "Density of the number of points inside annotated boxes over range, for each pattern",
@@ -347,7 +342,7 @@ def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapp
                 heading="Figure 4: points inside annotated boxes",
             )
         )
-        found.append(
+        pictures.append(
             PageImage(
                 figure_uri(ranges_of_classes(objects)),
                 "Histograms of the distance of annotated objects, and of their classes",
@@ -356,7 +351,7 @@ def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapp
             )
         )
     if curves:
-        found.append(
+        pictures.append(
             PageImage(
                 figure_uri(precision_recall(curves)),
                 "Precision over recall of the detectors of both patterns, one line for each distance",
@@ -365,7 +360,7 @@ def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapp
             )
         )
     if paper == "kradar" and objects and "os2-64" in objects["points"]:
-        found.append(
+        pictures.append(
             PageImage(
                 figure_uri(returns_by_weather(objects, "os2-64")),
                 "Share of annotated objects with at least five LiDAR returns, by weather",
@@ -374,4 +369,90 @@ def _pictures(paper: str, curves: Mapping[str, Mapping[str, Any]], objects: Mapp
                 heading="Returns on objects by weather",
             )
         )
-    return found
+    return pictures
+
+
+# Peak memory
+
+
+def peaks_mb(timing: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Peak memory by run, 10^6 bytes, a figure a seed. A run that was gone on with counts with its highest.
+
+    A run whose weights were brought from elsewhere has none: to score takes less than to train.
+
+    Args:
+        timing: What ``timing.json`` holds.
+    """
+    peaks: dict[str, list[float]] = {}
+    for run in timing["runs"].values():
+        if only_scored(run):
+            continue
+        of_run = [clock["peak_memory_mb"] for clock in run["clock"] if clock.get("peak_memory_mb")]
+        for name in run["runs"] if of_run else []:
+            peaks.setdefault(name, []).append(max(of_run))
+    return peaks
+
+
+def only_scored(run: Mapping[str, Any]) -> bool:
+    """Whether a finished run was only scored here: its weights were there.
+
+    Args:
+        run: One of the runs of ``timing.json``.
+    """
+    return bool(run["clock"]) and all(clock.get("brought") for clock in run["clock"])
+
+
+def with_memory(table: Mapping[str, Any], timing: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A table whose rows hold our peak beside the published memory; one that publishes none stays as it is.
+
+    Args:
+        table: One of the summary's tables.
+        timing: What ``timing.json`` holds.
+    """
+    rows = [row for row in table["rows"] if _published(row) is not None]
+    if not rows:
+        return table
+    peaks = peaks_mb(timing)
+    filled = []
+    for row in table["rows"]:
+        of_row = peaks.get(row["run"], [])
+        ours = {
+            "published": _published(row),
+            "mean": statistics.fmean(of_row) if of_row else None,
+            "s": statistics.stdev(of_row) if len(of_row) > 1 else None,
+        }
+        cells = {**row["cells"], "overall": {**row["cells"].get("overall", {}), MEMORY: ours}}
+        filled.append({**row, "cells": cells} if row in rows else row)
+    return {**table, "metrics": {**table["metrics"], MEMORY: MEMORY_WORDS}, "rows": filled}
+
+
+def _published(row: Mapping[str, Any]) -> float | None:
+    return row["cells"].get("overall", {}).get(MEMORY, {}).get("published")
+
+
+def memory_rows(timing: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Median over seeds of the peak of each run, in words."""
+    peaks = peaks_mb(timing)
+    return [(name.replace("_", " "), f"{statistics.median(values):,.0f} MB") for name, values in peaks.items()]
+
+
+def missing_memory(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[str]:
+    """Runs without a measured peak, and why; a sentence a reason.
+
+    Args:
+        summary: What ``reproduction.json`` holds.
+        timing: What ``timing.json`` holds.
+    """
+    measured, left_out = peaks_mb(timing), summary.get("left_out", {})
+    runs = list(timing["runs"].values())
+    finished = {name for run in runs for name in run["runs"]}
+    elsewhere = {name for run in runs if only_scored(run) for name in run["runs"]} - set(measured)
+    rows = {row["run"] for table in summary["tables"] for row in table["rows"]}
+    reasons = {
+        "Not run at this budget": [name for name in left_out if name not in finished],
+        "Not finished": sorted(rows - finished - set(left_out)),
+        "Trained elsewhere": sorted(elsewhere),
+        "Done where the system does not say it": sorted(finished - set(measured) - elsewhere),
+    }
+    shown = {reason: [name.replace("_", " ") for name in names] for reason, names in reasons.items() if names}
+    return [f"{reason}: {', '.join(names)}." for reason, names in shown.items()]

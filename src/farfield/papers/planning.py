@@ -1,16 +1,45 @@
-"""What a grid will cost on this machine, and which of its claims it can decide, before anything is run."""
+"""What a grid costs on this machine, measured on a few steps and frames, and which of its claims it can decide.
+
+The plan comes before anything is run: some steps of each kind of run, some frames of each network and some simulated
+frames are timed, the steps are lowered until all fits into the minutes, and the power of each comparison says whether
+it can be decided.
+"""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+import shutil
+import statistics
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
+from farfield.datasets import Dataset
+from farfield.detectors.runtime import Detector
 from farfield.errors import ConfigError
+from farfield.evaluation import detect
+from farfield.experiments.plan import Plan
+from farfield.experiments.schema import DataConfig, Experiment, MethodConfig
+from farfield.jobs import JobOptions, Unit, UnitResult, values
 from farfield.metrics.deciding import power
-from farfield.papers.claims import Claim, Claims, Comparison
-from farfield.papers.grid import BudgetSettings
+from farfield.papers.claims import Claims, Comparison
+from farfield.papers.grid import BudgetSettings, SimulatedSet
 from farfield.papers.jobs import TrainingJob
-from farfield.papers.measuring import RunRate
+from farfield.papers.locations import DataLocation, simulate
+from farfield.papers.running import quiet
+from farfield.training.report import TrainingReport
+
+STEPS = 20
+"""Steps of each trial."""
+SMALL_BATCH = 2
+"""Frames a step of one pattern with which trials are made."""
+_SEQUENCES = 3  # of a set that is only measured on
+_FRAMES, _FEW_FRAMES, _SLOW_FRAME_S = 6, 2, 0.5  # detected in; fewer where one takes so long
+_GLANCE = 2  # steps that show whether there is time for more
+_PATIENCE_S, _PATIENCE_OF_ALL_S = 60.0, 240.0  # for the steps of the trial of a kind, and of all kinds
+_SETTLED = 8  # steps until the allocator and the caches have settled
 
 S_SEED, S_SEQ, ROADS = 0.015, 0.008, 12
 """Spread of paired differences over seeds, and over draws of so many roads, met at small size: what power rests on."""
@@ -20,9 +49,26 @@ SCORING_S = 12.0
 """Core seconds that scoring a run on a cloud takes besides detecting, with its draws."""
 PAGE_S = 60.0
 RESERVE = 0.08
-"""Share of the minutes asked for that a plan leaves where the fewest steps let it: paces are known to a few percent,
+"""Share of the minutes that a plan leaves where the fewest steps let it: rates are measured to a few percent,
 checkpoints take their time, and a command that is killed loses the steps since the last one."""
 _SHARES = tuple(share / 100 for share in range(100, 0, -1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRate:
+    """How long a kind of run takes a core of this machine, with as many of them at a time as there are workers.
+
+    On the CPU it is the processor's time, which other programs hardly bear on; on a GPU that of the clock on the wall.
+
+    Args:
+        step_s: Seconds a step.
+        begin_s: Seconds before the first step.
+        frame_s: Seconds a frame that is detected in.
+    """
+
+    step_s: float
+    begin_s: float
+    frame_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +129,8 @@ class GridPlan:
         cost: What it costs.
         workers: Processes.
         outlooks: Which claims can be decided, one a comparison.
-        paces: What was measured, by kind of job.
-        simulating_s: What was measured, core seconds a frame by set.
+        paces: Measured rate of each kind of job.
+        simulating_s: Measured core seconds a frame by set.
     """
 
     budget: str
@@ -105,20 +151,28 @@ class GridPlan:
         return self.cost.core_minutes / self.workers
 
     def to_json(self) -> dict[str, Any]:
-        """All of it as JSON values."""
+        """All of it as JSON values; :func:`outline_of` reads it."""
         return {**asdict(self), "core_minutes": self.cost.core_minutes, "minutes": self.minutes}
 
 
-def paces_of(kept: Mapping[str, Any]) -> dict[str, RunRate]:
-    """The paces of an outline that was kept as JSON."""
-    return {kind: RunRate(**pace) for kind, pace in kept["paces"].items()}
+def outline_of(tree: Mapping[str, Any]) -> GridPlan:
+    """Read a plan of JSON values."""
+    fields = {name: value for name, value in tree.items() if name not in ("core_minutes", "minutes")}
+    fields["cost"] = GridCost(**tree["cost"])
+    fields["outlooks"] = tuple(PowerEstimate(**outlook) for outlook in tree["outlooks"])
+    return GridPlan(**{**fields, "paces": rates_of(tree)})
+
+
+def rates_of(tree: Mapping[str, Any]) -> dict[str, RunRate]:
+    """The measured rates of a plan of JSON values."""
+    return {kind: RunRate(**rate) for kind, rate in tree["paces"].items()}
 
 
 def cost_of(
     jobs: Sequence[TrainingJob],
     steps_share: float,
     settings: BudgetSettings,
-    paces: Mapping[str, RunRate],
+    rates: Mapping[str, RunRate],
     simulating_s: Mapping[str, float],
     frames_scored: int,
     *,
@@ -130,14 +184,14 @@ def cost_of(
         jobs: The jobs.
         steps_share: Share of the declared steps.
         settings: The budget.
-        paces: The pace of each kind of job.
+        rates: The rate of each kind of job.
         simulating_s: Core seconds a frame of each set that is to be simulated.
         frames_scored: Number of frames on which each job is scored.
         beside_s: Core seconds that simulating takes besides: frames that the page alone shows.
     """
     lowered = settings.lowered(steps_share)
-    training = sum(paces[job.kind].begin_s + lowered.steps_for(job.network) * paces[job.kind].step_s for job in jobs)
-    scoring = sum(len(job.clouds) * (frames_scored * paces[job.kind].frame_s + SCORING_S) for job in jobs)
+    training = sum(rates[job.kind].begin_s + lowered.steps_for(job.network) * rates[job.kind].step_s for job in jobs)
+    scoring = sum(len(job.clouds) * (frames_scored * rates[job.kind].frame_s + SCORING_S) for job in jobs)
     sets = settings.sets
     simulating = beside_s + sum(
         seconds * sets[name].sequences * sets[name].frames for name, seconds in simulating_s.items()
@@ -145,10 +199,10 @@ def cost_of(
     return GridCost(simulating=simulating / 60, training=training / 60, scoring=(scoring + PAGE_S) / 60)
 
 
-def fitted(
+def fit_steps(
     jobs: Sequence[TrainingJob],
     settings: BudgetSettings,
-    paces: Mapping[str, RunRate],
+    rates: Mapping[str, RunRate],
     simulating_s: Mapping[str, float],
     frames_scored: int,
     core_minutes: float | None,
@@ -162,10 +216,10 @@ def fitted(
     Args:
         jobs: As of :func:`cost_of`, and so the next four.
         settings: The budget.
-        paces: The pace of each kind of job.
+        rates: The rate of each kind of job.
         simulating_s: Core seconds a frame.
         frames_scored: Number of frames.
-        core_minutes: What it is to take at most; None for no limit.
+        core_minutes: Limit of the cost; None for no limit.
         beside_s: As of :func:`cost_of`.
 
     Raises:
@@ -173,7 +227,7 @@ def fitted(
     """
     cost = GridCost(simulating=0.0, training=0.0, scoring=0.0)
     for share in _SHARES:
-        cost = cost_of(jobs, share, settings, paces, simulating_s, frames_scored, beside_s=beside_s)
+        cost = cost_of(jobs, share, settings, rates, simulating_s, frames_scored, beside_s=beside_s)
         least = settings.lowered(share) == settings.lowered(_SHARES[-1])
         if core_minutes is None or cost.core_minutes <= core_minutes * (1.0 if least else 1.0 - RESERVE):
             return share, cost
@@ -190,42 +244,21 @@ def fitted(
 def outlooks(claims: Claims, runs: Sequence[str], settings: BudgetSettings) -> tuple[PowerEstimate, ...]:
     """Which claims can be decided by runs of this number of seeds and roads, by the published differences."""
     roads = sum(settings.sets[name].sequences for name in settings.scored_on if name in settings.sets)
+    s_seq, seeds = S_SEQ * math.sqrt(ROADS / max(roads, 1)), settings.seeds
     trained = [claim for claim in claims if claims.metrics[claim.metrics[0]].protocol]
-    pairs = [pair for claim in trained for pair in (*claim.comparisons, *claim.controls) if _has(pair, runs)]
-    df = max(1, len(pairs) * (settings.seeds - 1))
-    return tuple(
-        _outlook(claim, pair, runs, settings.seeds, df, roads) for claim in trained for pair in claim.comparisons
-    )
+    df = max(1, sum(_has_runs(pair, runs) for claim in trained for pair in claim.pairs) * (seeds - 1))
+    estimates = []
+    for claim, pair in [(declared, pair) for declared in trained for pair in declared.comparisons]:
+        published, has_runs = pair.published(claim.metrics[0]), _has_runs(pair, runs)
+        likely = None
+        if published is not None and has_runs and seeds >= 2:
+            likely = power(published, s_seed=S_SEED, s_seq=s_seq, n=seeds, df=df, hypothesis=pair.hypothesis)
+        estimates.append(PowerEstimate(claim=claim.id, power=likely, runs=has_runs))
+    return tuple(estimates)
 
 
-def _outlook(claim: Claim, pair: Comparison, runs: Sequence[str], seeds: int, df: int, roads: int) -> PowerEstimate:
-    published = pair.published(claim.metrics[0])
-    if published is None or not _has(pair, runs) or seeds < 2:
-        return PowerEstimate(claim=claim.id, power=None, runs=_has(pair, runs))
-    s_seq = S_SEQ * math.sqrt(ROADS / max(roads, 1))
-    likely = power(published, s_seed=S_SEED, s_seq=s_seq, n=seeds, df=df, hypothesis=pair.hypothesis)
-    return PowerEstimate(claim=claim.id, power=likely)
-
-
-def _has(pair: Comparison, runs: Sequence[str]) -> bool:
-    return all(row.run in runs for row in (pair.a, pair.b))
-
-
-def outline_of(kept: Mapping[str, Any]) -> GridPlan:
-    """Read an outline that was kept as JSON."""
-    return GridPlan(
-        budget=kept["budget"],
-        steps_share=kept["steps_share"],
-        steps=kept["steps"],
-        jobs=kept["jobs"],
-        rows=kept["rows"],
-        seeds=kept["seeds"],
-        cost=GridCost(**kept["cost"]),
-        workers=kept["workers"],
-        outlooks=tuple(PowerEstimate(**each) for each in kept["outlooks"]),
-        paces=paces_of(kept),
-        simulating_s=kept["simulating_s"],
-    )
+def _has_runs(pair: Comparison, runs: Sequence[str]) -> bool:
+    return pair.a.run in runs and pair.b.run in runs
 
 
 def described(outline: GridPlan) -> list[str]:
@@ -241,8 +274,205 @@ def described(outline: GridPlan) -> list[str]:
         f"worker{'' if outline.workers == 1 else 's'}",
     ]
     by_claim: dict[str, list[str]] = {}
-    for each in outline.outlooks:
-        by_claim.setdefault(each.claim, []).append(each.words)
+    for estimate in outline.outlooks:
+        by_claim.setdefault(estimate.claim, []).append(estimate.words)
     lines += ["can be decided, if the paper's differences are true:"]
     lines += [f"  {claim}: {', '.join(words)}" for claim, words in by_claim.items()]
     return lines
+
+
+# Measuring: a few steps, detections and simulated frames
+
+Clocks = tuple[float, float]
+"""The processor's time of this process, and that of the wall, seconds."""
+
+
+def _clocks() -> Clocks:
+    return time.process_time(), time.perf_counter()
+
+
+class StepClock(TrainingReport):
+    """Notes when steps were done."""
+
+    def __init__(self) -> None:
+        self.began, self.times = _clocks(), list[Clocks]()
+
+    def step(self, step: int, losses: dict[str, float]) -> None:
+        """Note the moment."""
+        del step, losses
+        self.times.append(_clocks())
+
+    def rate(self, which: int, frame_s: float) -> RunRate:
+        """The rate by one of both clocks."""
+        began, times = self.began[which], [clocks[which] for clocks in self.times]
+        settled = times[max(0, min(_SETTLED, len(times) // 2, len(times) - 2)) :]
+        steps = [later - earlier for earlier, later in pairwise(settled)]
+        step_s = statistics.mean(steps) if steps else times[0] - began
+        return RunRate(step_s=step_s, begin_s=max(times[0] - began - step_s, 0.0), frame_s=frame_s)
+
+
+OpenFrames = Callable[[TrainingJob], Mapping[str, Dataset]]
+"""Frames of a job's streams that are not opened by its experiment."""
+
+
+def no_frames(job: TrainingJob) -> Mapping[str, Dataset]:
+    """None: all are opened by the experiment."""
+    del job
+    return {}
+
+
+@dataclass(frozen=True)
+class _SpeedTrial:
+    """Takes some steps of a job in a folder that is removed afterwards; the unit's parameters are the job."""
+
+    folder: Path
+    steps: int
+    batch_share: float
+    patience_s: float = _PATIENCE_S
+    frames: OpenFrames = no_frames
+
+    memory_bytes, own_process = 4_000_000_000, True
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        job: TrainingJob = unit.parameters
+        quiet()
+        rate = self._rate(job, self.folder / unit.name, min(_GLANCE, self.steps))
+        if self.steps > _GLANCE and rate.step_s * self.steps <= self.patience_s:
+            rate = self._rate(job, self.folder / unit.name, self.steps)
+        return UnitResult(value=replace(rate, step_s=rate.step_s / self.batch_share))
+
+    def _rate(self, job: TrainingJob, folder: Path, steps: int) -> RunRate:
+        shutil.rmtree(folder, ignore_errors=True)
+        experiment, frames = trial_experiment(job.experiment, steps, self.batch_share), self.frames(job)
+        clock = StepClock()
+        detector = Detector.load(Plan(experiment, folder, data=frames).run(clock))
+        which = 0 if detector.device.type == "cpu" else 1
+        rate = clock.rate(which, _frame_s(detector, experiment, job, frames, which))
+        shutil.rmtree(folder, ignore_errors=True)
+        return rate
+
+
+def trial_experiment(experiment: Experiment, steps: int, batch_share: float = 1.0) -> Experiment:
+    """An experiment of a few steps, in this process, that needs no other run's weights and takes all of its data.
+
+    Args:
+        experiment: The experiment.
+        steps: Its steps.
+        batch_share: Share of its batch that is taken.
+    """
+    method = {name: value for name, value in experiment.method.model_dump().items() if name != "start"}
+    method["name"] = "supervised" if method["name"] == "continued" else method["name"]
+    data = experiment.data
+    groups = data if isinstance(data, dict) else {"": data}
+    groups = {name: group.model_copy(update={"part": (0.0, 1.0)}) for name, group in groups.items()}
+    training = {"steps": steps, "workers": 0, "batch_size": round(experiment.training.batch_size * batch_share)}
+    changes: dict[str, Any] = {
+        "method": MethodConfig.model_validate(method),
+        "data": groups if isinstance(data, dict) else groups[""],
+        "training": experiment.training.model_copy(update=training),
+    }
+    return experiment.model_copy(update=changes)
+
+
+def _frame_s(
+    detector: Detector, experiment: Experiment, job: TrainingJob, frames: Mapping[str, Dataset], which: int
+) -> float:
+    """Seconds to read a frame and detect in it, by one of both clocks."""
+    groups = experiment.data if isinstance(experiment.data, dict) else {"": experiment.data}
+    config: DataConfig = groups.get("target", next(iter(groups.values())))
+    data = next(iter(frames.values()), None)
+    if data is None:
+        data = DataLocation(path=config.path, split=config.split or "", options=config.options).open()
+    cloud = next(cloud for cloud in (*job.clouds, *config.clouds) if cloud in data[0].clouds)
+    for count in (_FEW_FRAMES, _FRAMES):
+        first, began = data.select(range(min(count, len(data)))), _clocks()[which]
+        detect(detector, first, cloud=cloud, annotated_only=True)
+        frame_s = (_clocks()[which] - began) / len(first)
+        if frame_s > _SLOW_FRAME_S:
+            break
+    return frame_s
+
+
+def patience_s(kinds: int) -> float:
+    """Seconds that the steps of a trial may take where so many kinds are tried: all of them at most four minutes."""
+    return min(_PATIENCE_S, _PATIENCE_OF_ALL_S / max(kinds, 1))
+
+
+def measure(
+    jobs: Sequence[TrainingJob],
+    folder: Path,
+    options: JobOptions,
+    *,
+    steps: int = STEPS,
+    batch_share: float = 1.0,
+    frames: OpenFrames = no_frames,
+    report: Callable[[str], object] | None = None,
+) -> dict[str, RunRate]:
+    """The rate of every kind of job.
+
+    Where steps take long only two are taken. Large batches are measured by a part of them: the time of a step is
+    taken to grow with its frames, which is so on a CPU and too much on a GPU.
+
+    Args:
+        jobs: The jobs; the first of each kind is tried.
+        folder: Where they may write meanwhile.
+        options: Workers, as many at a time as later, and progress.
+        steps: Steps of each trial.
+        batch_share: Share of each batch.
+        frames: Gives the frames of a job that its experiment does not open.
+        report: Called with a line before it begins.
+    """
+    kinds = {job.kind: job for job in reversed(jobs)}
+    if report is not None and kinds:
+        report(f"measuring {steps} steps of each kind of run: {len(kinds)}")
+    units = [Unit(kind, parameters=job) for kind, job in sorted(kinds.items())]
+    results = values(_SpeedTrial(folder, steps, batch_share, patience_s(len(units)), frames), units, options)
+    return {unit.name: result.value for unit, result in zip(units, results, strict=True)}
+
+
+def trial_set(simulated: SimulatedSet) -> SimulatedSet:
+    """A few frames of a set: enough to measure on."""
+    fewer = {"sequences": min(_SEQUENCES, simulated.sequences), "frames": min(2, simulated.frames)}
+    return simulated.model_copy(update=fewer)
+
+
+def measure_simulating(
+    locations: Mapping[str, DataLocation],
+    needed: Collection[str],
+    folder: Path,
+    *,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> tuple[dict[str, float], dict[str, DataLocation]]:
+    """Simulate a few frames of each kind of set, on one core.
+
+    Args:
+        locations: The sets.
+        needed: Those of which some frames are needed later.
+        folder: Where the frames are put; empty, for frames that are there already would seem to cost nothing.
+        progress: Shows the frames that are left.
+
+    Returns:
+        Core seconds a frame of every simulated set, and the locations of the small sets beside the user's own.
+    """
+    seconds: dict[str, float] = {}  # sets of one preset and sensors take equally long
+    small = {name: location for name, location in locations.items() if location.simulated is None}
+    kinds: dict[str, str] = {}
+    for name, location in sorted(locations.items(), key=partial(_needed_first, needed)):
+        if location.simulated is None:
+            continue
+        trial = trial_set(location.simulated)
+        kind = kinds[name] = f"{trial.preset} {trial.sensors}"
+        if kind in seconds and name not in needed:
+            continue
+        small[name] = replace(location, path=folder / name, simulated=trial)
+        simulate_trial = partial(simulate, workers=1, progress=progress, time=location.time)
+        if kind not in seconds:  # what a process makes once is no frame's
+            simulate_trial(trial.model_copy(update={"sequences": 1, "frames": 1}), folder / f"{name}-first")
+        began = time.process_time()
+        simulate_trial(trial, small[name].path)
+        seconds[kind] = (time.process_time() - began) / (trial.sequences * trial.frames)
+    return {name: seconds[kinds[name]] for name in locations if name in kinds}, small
+
+
+def _needed_first(needed: Collection[str], item: tuple[str, Any]) -> tuple[bool, str]:
+    return item[0] not in needed, item[0]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from farfield.evaluation.report_data import confident, of_classes
 from farfield.figures.birds_eye import Window, draw_birdseye, draw_boxes, in_window
@@ -29,7 +29,7 @@ LOST = "#9c36b5"
 """Colour of objects without any LiDAR return."""
 WINDOW_M: Window = (0.0, 76.0, -14.0, 14.0)
 SCORE_MIN = SHOWN_SCORE
-_POWER = "Greys"  # the colours of boxes have to be seen on it
+_POWER = "Greys"  # the colours of boxes have to stand out on it
 _DASHED = (0, (2.2, 1.4))
 _DPI = 125
 
@@ -74,22 +74,19 @@ class RadarSheet:
             and ``wrong``: objects with a box of score 0.3 or more within 2 m, and boxes without an object of any class.
         """
         inside = in_window(self.boxes.centre_m, window_m) & of_classes(self.boxes, labels)
-        wanted, lost = self.boxes[inside], self.returns[inside] == 0
-        counts: dict[str, Any] = {"annotated": len(wanted), "without_return": int(lost.sum())}
+        objects, lost = self.boxes[inside], self.returns[inside] == 0
+        counts: dict[str, Any] = {"annotated": len(objects), "without_return": int(lost.sum())}
         for name, boxes in (("on_radar", self.on_radar), ("on_lidar", self.on_lidar)):
             if boxes is not None:
-                seen = confident(boxes, SCORE_MIN)
-                counts[name] = _found(seen[in_window(seen.centre_m, window_m)], wanted, lost, self.boxes)
+                detections = confident(boxes, SCORE_MIN)
+                detections = detections[in_window(detections.centre_m, window_m)]
+                matched = found_by(detections, objects) >= 0
+                counts[name] = {
+                    "found": int(matched.sum()),
+                    "found_without_return": int((matched & lost).sum()),
+                    "wrong": len(detections) - int((found_by(detections, self.boxes) >= 0).sum()),
+                }
         return counts
-
-
-def _found(seen: Boxes, wanted: Boxes, lost: Bool[np.ndarray, " n"], every: Boxes) -> dict[str, int]:
-    found = found_by(seen, wanted) >= 0
-    return {
-        "found": int(found.sum()),
-        "found_without_return": int((found & lost).sum()),
-        "wrong": len(seen) - int((found_by(seen, every) >= 0).sum()),
-    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,14 +147,13 @@ class SheetGroup:
         return f"{text} {'Simulated' if sheet.look.simulated else 'Recorded'}: {key}."
 
 
-def _words(name: str, found: Mapping[str, int], lost: int) -> str:
-    of_lost = f", {found['found_without_return'] or 'none'} of those without return" if lost else ""
-    wrong = (
-        f"; {found['wrong']} of its boxes {'has' if found['wrong'] == 1 else 'have'} no object"
-        if found["wrong"]
-        else ""
-    )
-    return f"{name} finds {found['found'] or 'none'}{of_lost}{wrong}."
+def _words(name: str, counts: Mapping[str, int], lost: int) -> str:
+    text = f"{name} finds {counts['found'] or 'none'}"
+    if lost:
+        text += f", {counts['found_without_return'] or 'none'} of those without return"
+    if counts["wrong"]:
+        text += f"; {counts['wrong']} of its boxes {'has' if counts['wrong'] == 1 else 'have'} no object"
+    return f"{text}."
 
 
 def _weather(sheet: RadarSheet) -> str:
@@ -188,8 +184,8 @@ def sheet_picture(
         _draw_power(radar, sheet, window_m)
         draw_birdseye(lidar, sheet.cloud, window_m=window_m, point_size=1.6, rings_m=())
         lidar.set_title(f"LiDAR: {len(sheet.cloud):,} points of the os2-64")
-        for axes, found in ((radar, sheet.on_radar), (lidar, sheet.on_lidar)):
-            _draw_objects(axes, sheet, found, region_m)
+        for axes, detections in ((radar, sheet.on_radar), (lidar, sheet.on_lidar)):
+            _draw_objects(axes, sheet, detections, region_m)
             axes.set(xlim=window_m[:2], ylim=window_m[2:], aspect="equal", ylabel="y left (m)")
             axes.set_yticks(np.arange(np.ceil(window_m[2] / 10), np.floor(window_m[3] / 10) + 1) * 10.0)
             axes.set_xticks(np.arange(np.ceil(window_m[0] / 10), np.floor(window_m[1] / 10) + 1) * 10.0)
@@ -200,14 +196,14 @@ def sheet_picture(
     return figure
 
 
-def _draw_objects(axes: "Axes", sheet: RadarSheet, found: Boxes | None, region_m: Window | None) -> None:
+def _draw_objects(axes: "Axes", sheet: RadarSheet, detections: Boxes | None, region_m: Window | None) -> None:
     from matplotlib.patches import Rectangle
 
     lost = sheet.returns == 0
     draw_boxes(axes, sheet.boxes[~lost], ANNOTATED, line_width=1.9, order=4)
     draw_boxes(axes, sheet.boxes[lost], LOST, line_width=1.9, order=4, dashes=_DASHED)
-    if found is not None:
-        draw_boxes(axes, confident(found, SCORE_MIN), PREDICTED, line_width=1.2, order=5)
+    if detections is not None:
+        draw_boxes(axes, confident(detections, SCORE_MIN), PREDICTED, line_width=1.2, order=5)
     if region_m is not None:
         x_from, x_to, y_from, y_to = region_m
         corridor = Rectangle((x_from, y_from), x_to - x_from, y_to - y_from, fill=False, ec=INK, lw=0.9, ls=(0, (1, 3)))

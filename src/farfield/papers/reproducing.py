@@ -4,8 +4,8 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,13 +23,11 @@ from farfield.papers.deciding import DecisionRule, Scores
 from farfield.papers.feature_maps import feature_maps
 from farfield.papers.grid import BudgetSettings, ExperimentGrid, Tree, load_grid
 from farfield.papers.jobs import DataLocations, TrainingJob, jobs_of
-from farfield.papers.measuring import SMALL_BATCH, STEPS, RunRate, measure, measure_simulating
-from farfield.papers.needs import needs_of
-from farfield.papers.places import DataLocation, fingerprints_of, places_of, provide, wanting
-from farfield.papers.running import WEIGHTS, clocks_of, do_all, done_jobs, scores_of
+from farfield.papers.locations import DataLocation, fingerprints_of, locations_of, provide, simulation_needed
+from farfield.papers.running import WEIGHTS, Report, clocks_of, do_all, done_jobs, no_progress, scores_of, silent
 from farfield.papers.scenarios import scenarios_of, seeds_of
-from farfield.papers.scoring import ScoringTask
-from farfield.papers.sheets import measure_sheet, provide_sheets, sheet_places, sheets_of
+from farfield.papers.scoring import ScoringTask, needs_of
+from farfield.papers.sheets import sheet_locations, sheets_of
 from farfield.papers.statistics import objects_in
 from farfield.papers.summary import ReproductionSummary, curves_of, summary_of
 from farfield.vocabulary.patterns import PATTERNS
@@ -39,16 +37,24 @@ if TYPE_CHECKING:
 
 MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
 _MAX_BYTES = 1 << 26
-Said = Callable[[str], object]
 
 
-def _silent(line: str) -> None:
-    del line
+@contextmanager
+def sole_command(out: Path) -> Iterator[None]:
+    """Keep other commands from a folder.
 
-
-def _unseen(what: str) -> Progress:
-    del what
-    return iter
+    Raises:
+        ConfigError: If another command is at work there.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        with locked(out, shared=False):
+            yield
+    except BlockingIOError as error:
+        raise ConfigError(
+            f"{out}: expected no other command at work in this folder, found one. Wait for it, or name "
+            "another folder with --out; --page writes the page of what is done meanwhile."
+        ) from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,13 +66,13 @@ class Reproduction:
         claims: The claims that it decides.
         out: The folder: data, runs, plan, summary, page.
         budget: Name of the budget.
-        minutes: Minutes that the whole is to take at most; None for the budget's own core minutes.
+        minutes: Minutes that all of it takes at most; None for the budget's own core minutes.
         workers: Processes, one thread each; 0 for as many as there are cores.
         data: The user's data set; without one all is simulated.
         source: The user's data of the other device, for Table IV.
         measured_steps: Steps of each trial before the plan is made.
         progress: Makes what wraps the numbers of units that are left, by what is done.
-        said: Called with each line for the user.
+        report: Called with each line for the user.
 
     Raises:
         ConfigError: If there is no such budget.
@@ -80,9 +86,9 @@ class Reproduction:
     workers: int = 0
     data: Path | None = None
     source: Path | None = None
-    measured_steps: int = STEPS
-    progress: Callable[[str], Progress] = _unseen
-    said: Said = _silent
+    measured_steps: int = planning.STEPS
+    progress: Callable[[str], Progress] = no_progress
+    report: Report = silent
 
     def __post_init__(self) -> None:
         if self.budget not in self.grid.budgets:
@@ -106,7 +112,7 @@ class Reproduction:
         return self.grid.budgets[self.budget]
 
     @property
-    def hands(self) -> int:
+    def num_workers(self) -> int:
         """Processes at a time."""
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         return self.workers or cores
@@ -117,138 +123,31 @@ class Reproduction:
         return self.data is None
 
     @property
-    def places(self) -> dict[str, DataLocation]:
+    def locations(self) -> dict[str, DataLocation]:
         """Where each set stands."""
-        return places_of(self.grid, self.budget, self.out / "data", data=self.data, source=self.source)
-
-    def outline(self) -> planning.GridPlan:
-        """The plan: measured first, then kept, so that the same command goes on with the same steps."""
-        kept = _read(self.out / PLAN)
-        if kept.get("asked") == self._asked:
-            return planning.outline_of(kept["outline"])
-        outline = self._planned()
-        write_text(self.out / PLAN, json.dumps({"asked": self._asked, "outline": outline.to_json()}, indent=1) + "\n")
-        return outline
-
-    def rehearsed(self) -> list[str]:
-        """What there is to do, in lines, measuring and writing nothing; the plan too where one was made before."""
-        places, settings = self.places, self.settings
-        jobs = self.jobs(places)
-        steps = {job.network: settings.steps_for(job.network) for job in jobs}
-        sets = [*places.values(), *self.sheet_places.values()]
-        kept = _read(self.out / PLAN)
-        known = kept.get("asked") == self._asked
-        return [
-            f"{len(jobs)} trainings; steps: {', '.join(f'{name} {count}' for name, count in steps.items())}",
-            wanting((place.simulated, place.path) for place in sets),
-            *(planning.described(planning.outline_of(kept["outline"])) if known else ()),
-        ]
+        return locations_of(self.grid, self.budget, self.out / "data", data=self.data, source=self.source)
 
     @property
-    def _asked(self) -> Tree:
-        """What a plan was made for."""
-        return {**self._measured_for, "minutes": self.minutes}
-
-    @property
-    def _measured_for(self) -> Tree:
-        return {
-            "budget": self.budget,
-            "workers": self.hands,
-            "grid": hashlib.sha256(self.grid.model_dump_json().encode()).hexdigest(),
-            "data": None if self.data is None else str(self.data.resolve()),
-            "source": None if self.source is None else str(self.source.resolve()),
-        }
-
-    @property
-    def sheet_places(self) -> dict[str, DataLocation]:
+    def sheet_locations(self) -> dict[str, DataLocation]:
         """Where the frames of the sheets are simulated, by weather; none where the page shows the user's or none."""
         if self.paper != "kradar" or not self.simulated:
             return {}
-        return sheet_places(self.settings, self.out / "data")
+        return sheet_locations(self.settings, self.out / "data")
 
-    def _measured(self, places: Mapping[str, DataLocation]) -> tuple[dict[str, RunRate], dict[str, float], float]:
-        """The pace of each kind of run, and core seconds a simulated frame by set and of a sheet: measured once."""
-        kept = _read(self.out / MEASURED)
-        if kept.get("for") == self._measured_for:
-            return planning.paces_of(kept), dict(kept["simulating_s"]), float(kept.get("sheet_s", 0.0))
-        scratch = self.out / ".measure"
-        shutil.rmtree(scratch, ignore_errors=True)  # of a command that was killed: its frames would cost nothing
-        self.out.mkdir(parents=True, exist_ok=True)
-        needed = {stream.set for run in self.grid.runs_of(self.budget).values() for stream in run.streams.values()}
-        self.said("measuring: a few simulated frames, then a few steps of each kind of run")
-        simulating, small = measure_simulating(
-            places, needed, scratch / "data", progress=self.progress("simulating a few frames")
-        )
-        sheet_s = measure_sheet(self.sheet_places, scratch / "data")
-        bulk = JobOptions(workers=self.hands, progress=self.progress("measuring"))
-        part = min(1.0, SMALL_BATCH / self.settings.batch)
-        paces = measure(
-            self.jobs(small), scratch / "runs", bulk, steps=self.measured_steps, batch_share=part, said=self.said
-        )
-        shutil.rmtree(scratch, ignore_errors=True)
-        found = {
-            "paces": {kind: asdict(pace) for kind, pace in paces.items()},
-            "simulating_s": simulating,
-            "sheet_s": sheet_s,
-        }
-        write_text(self.out / MEASURED, json.dumps({"for": self._measured_for, **found}, indent=1) + "\n")
-        return paces, simulating, sheet_s
-
-    def _planned(self) -> planning.GridPlan:
-        places = self.places
-        jobs = self.jobs(places)
-        paces, simulating, sheet_s = self._measured(places)
-        left = {name: seconds for name, seconds in simulating.items() if not places[name].path.exists()}
-        frames = self._frames_scored(places)
-        limits = [self.settings.core_minutes, None if self.minutes is None else self.minutes * self.hands]
-        limit = min((each for each in limits if each is not None), default=None)
-        sheets = [each.simulated for each in self.sheet_places.values() if not each.path.exists()]
-        beside_s = sheet_s * sum(each.sequences * each.frames for each in sheets if each is not None)
-        share, cost = planning.fitted(jobs, self.settings, paces, left, frames, limit, beside_s=beside_s)
-        lowered = self.settings.lowered(share)
-        networks = sorted({job.network for job in jobs})
-        runs = tuple(self.grid.runs_of(self.budget))
-        return planning.GridPlan(
-            budget=self.budget,
-            steps_share=share,
-            steps={network: lowered.steps_for(network) for network in networks},
-            jobs=len(jobs),
-            rows=len(runs),
-            seeds=self.settings.seeds,
-            cost=cost,
-            workers=self.hands,
-            outlooks=planning.outlooks(self.claims, runs, self.settings),
-            paces=paces,
-            simulating_s=simulating,
-        )
-
-    def _frames_scored(self, places: Mapping[str, DataLocation]) -> int:
-        total = 0
-        for name in self._chosen(self.settings.scored_on, places):
-            place = places[name]
-            known = place.simulated
-            total += len(place.opened()) if known is None else known.sequences * known.frames
-        return total
-
-    @staticmethod
-    def _chosen(names: Iterable[str], places: Mapping[str, DataLocation]) -> list[str]:
-        """Those of the sets that there are; the validation set where there is none of them."""
-        return [name for name in names if name in places] or ["val"]
+    @property
+    def _runs(self) -> Path:
+        return self.out / "runs"
 
     def jobs(
         self,
-        places: Mapping[str, DataLocation],
+        locations: Mapping[str, DataLocation],
         fingerprints: Mapping[str, str] | None = None,
         *,
         steps_share: float = 1.0,
     ) -> list[TrainingJob]:
         """All trainings, seed by seed."""
-        data = DataLocations(places=places, fingerprints=fingerprints or {})
+        data = DataLocations(locations=locations, fingerprints=fingerprints or {})
         return jobs_of(self.grid, self.budget, self.claims, data, self._runs, steps_share=steps_share)
-
-    @property
-    def _runs(self) -> Path:
-        return self.out / "runs"
 
     def run(self, *, page_only: bool = False) -> Path:
         """Do all that is not done, and write the summary and the page.
@@ -263,123 +162,222 @@ class Reproduction:
             ConfigError: If the plan does not fit into the minutes, nothing is there for a page, or another command is
                 at work in the folder.
         """
-        self.out.mkdir(parents=True, exist_ok=True)
-        try:
-            with nullcontext() if page_only else locked(self.out, shared=False):
-                return self._run(page_only=page_only)
-        except BlockingIOError as error:
-            raise ConfigError(
-                f"{self.out}: expected no other command at work in this folder, found one. Wait for it, or name "
-                "another folder with --out; --page writes the page of what is done meanwhile."
-            ) from error
+        if page_only:
+            self.out.mkdir(parents=True, exist_ok=True)
+            return self._run(page_only=True)
+        with sole_command(self.out):
+            return self._run(page_only=False)
 
     def _run(self, *, page_only: bool) -> Path:
+        # plan
         outline = self.outline()
         for line in planning.described(outline):
-            self.said(line)
-        places = self.places
+            self.report(line)
+        # simulate
+        locations = self.locations
         if not page_only:
-            provide(places, workers=self.hands, progress=self.progress("simulating"), report=self.said)
-        fingerprints = fingerprints_of(places)
-        jobs = self.jobs(places, fingerprints, steps_share=outline.steps_share)
-        scoring = self._scoring(places, fingerprints)
+            provide(locations, workers=self.num_workers, progress=self.progress("simulating"), report=self.report)
+        fingerprints = fingerprints_of(locations)
+        # train and score
+        jobs = self.jobs(locations, fingerprints, steps_share=outline.steps_share)
+        scoring = self._scoring(locations, fingerprints)
         if not page_only:
-            do_all(
-                jobs,
-                self._runs,
-                scoring,
-                workers=self.hands,
-                progress=self.progress("runs"),
-                said=self.said,
-            )
+            progress = self.progress("runs")
+            do_all(jobs, self._runs, scoring, workers=self.num_workers, progress=progress, report=self.report)
         done = done_jobs(jobs, self._runs, scoring)
         if not done:
             raise ConfigError(f"{self.out}: expected finished runs to write a page of, found none of {len(jobs)}")
-        return self._conclude(outline, jobs, done, places, fingerprints)
+        # decide and show
+        return self._conclude(outline, jobs, done, locations, scoring, fingerprints)
 
-    def _scoring(self, places: Mapping[str, DataLocation], fingerprints: Mapping[str, str]) -> ScoringTask:
-        chosen = self._chosen(self.settings.scored_on, places)
+    # Planning
+
+    def outline(self) -> planning.GridPlan:
+        """The plan: measured first, then stored, so that the same command goes on with the same steps."""
+        stored = _read(self.out / PLAN)
+        if stored.get("asked") == self._planned_for:
+            return planning.outline_of(stored["outline"])
+        outline = self._plan()
+        tree = {"asked": self._planned_for, "outline": outline.to_json()}
+        write_text(self.out / PLAN, json.dumps(tree, indent=1) + "\n")
+        return outline
+
+    def dry_run(self) -> list[str]:
+        """What there is to do, in lines, measuring and writing nothing; the plan too where one was made before."""
+        locations, settings = self.locations, self.settings
+        jobs = self.jobs(locations)
+        steps = {job.network: settings.steps_for(job.network) for job in jobs}
+        stored = _read(self.out / PLAN)
+        has_plan = stored.get("asked") == self._planned_for
+        return [
+            f"{len(jobs)} trainings; steps: {', '.join(f'{name} {count}' for name, count in steps.items())}",
+            simulation_needed([*locations.values(), *self.sheet_locations.values()]),
+            *(planning.described(planning.outline_of(stored["outline"])) if has_plan else ()),
+        ]
+
+    @property
+    def _planned_for(self) -> Tree:
+        """What a plan depends on."""
+        return {**self._measured_for, "minutes": self.minutes}
+
+    @property
+    def _measured_for(self) -> Tree:
+        """What measurements depend on."""
+        return {
+            "budget": self.budget,
+            "workers": self.num_workers,
+            "grid": hashlib.sha256(self.grid.model_dump_json().encode()).hexdigest(),
+            "data": None if self.data is None else str(self.data.resolve()),
+            "source": None if self.source is None else str(self.source.resolve()),
+        }
+
+    def _measure(
+        self, locations: Mapping[str, DataLocation]
+    ) -> tuple[dict[str, planning.RunRate], dict[str, float], float]:
+        """The rate of each kind of run, and core seconds a simulated frame by set and of a sheet: measured once."""
+        stored = _read(self.out / MEASURED)
+        if stored.get("for") == self._measured_for:
+            return planning.rates_of(stored), dict(stored["simulating_s"]), float(stored.get("sheet_s", 0.0))
+        scratch = self.out / ".measure"
+        shutil.rmtree(scratch, ignore_errors=True)  # of a command that was killed: its frames would cost nothing
+        self.out.mkdir(parents=True, exist_ok=True)
+        needed = {stream.set for run in self.grid.runs_of(self.budget).values() for stream in run.streams.values()}
+        self.report("measuring: a few simulated frames, then a few steps of each kind of run")
+        simulating, small = planning.measure_simulating(
+            locations, needed, scratch / "data", progress=self.progress("simulating a few frames")
+        )
+        sheets = dict(list(self.sheet_locations.items())[:1])
+        sheet_s = sum(planning.measure_simulating(sheets, (), scratch / "sheets")[0].values())
+        rates = planning.measure(
+            self.jobs(small),
+            scratch / "runs",
+            JobOptions(workers=self.num_workers, progress=self.progress("measuring")),
+            steps=self.measured_steps,
+            batch_share=min(1.0, planning.SMALL_BATCH / self.settings.batch),
+            report=self.report,
+        )
+        shutil.rmtree(scratch, ignore_errors=True)
+        tree = {
+            "for": self._measured_for,
+            "paces": {kind: asdict(rate) for kind, rate in rates.items()},
+            "simulating_s": simulating,
+            "sheet_s": sheet_s,
+        }
+        write_text(self.out / MEASURED, json.dumps(tree, indent=1) + "\n")
+        return rates, simulating, sheet_s
+
+    def _plan(self) -> planning.GridPlan:
+        # what it costs: measured rates, frames that are not there yet
+        locations, settings = self.locations, self.settings
+        jobs = self.jobs(locations)
+        rates, simulating, sheet_s = self._measure(locations)
+        missing = {name: seconds for name, seconds in simulating.items() if not locations[name].path.exists()}
+        sheets = [location.simulated for location in self.sheet_locations.values() if not location.path.exists()]
+        beside_s = sheet_s * sum(sheet.sequences * sheet.frames for sheet in sheets if sheet is not None)
+        frames_scored = 0
+        for location in self._existing(settings.scored_on, locations).values():
+            scored = location.simulated
+            frames_scored += len(location.open()) if scored is None else scored.sequences * scored.frames
+        # the steps that fit
+        limits = [settings.core_minutes, None if self.minutes is None else self.minutes * self.num_workers]
+        limit = min((minutes for minutes in limits if minutes is not None), default=None)
+        share, cost = planning.fit_steps(jobs, settings, rates, missing, frames_scored, limit, beside_s=beside_s)
+        lowered = settings.lowered(share)
+        runs = tuple(self.grid.runs_of(self.budget))
+        return planning.GridPlan(
+            budget=self.budget,
+            steps_share=share,
+            steps={network: lowered.steps_for(network) for network in sorted({job.network for job in jobs})},
+            jobs=len(jobs),
+            rows=len(runs),
+            seeds=settings.seeds,
+            cost=cost,
+            workers=self.num_workers,
+            outlooks=planning.outlooks(self.claims, runs, settings),
+            paces=rates,
+            simulating_s=simulating,
+        )
+
+    @staticmethod
+    def _existing(names: Iterable[str], locations: Mapping[str, DataLocation]) -> dict[str, DataLocation]:
+        """Those of the sets that there are; the validation set where there is none of them."""
+        return {name: locations[name] for name in names if name in locations} or {"val": locations["val"]}
+
+    def _scoring(self, locations: Mapping[str, DataLocation], fingerprints: Mapping[str, str]) -> ScoringTask:
+        scored = self._existing(self.settings.scored_on, locations)
         return ScoringTask(
             score=self.settings.score,
-            places={name: places[name] for name in chosen},
-            fingerprints={name: fingerprints[name] for name in chosen},
+            locations=scored,
+            fingerprints={name: fingerprints[name] for name in scored},
             needs=tuple(needs_of(self.claims, self.grid, self.settings.score)),
             replicates=self.settings.replicates,
         )
+
+    # Deciding and showing
 
     def _conclude(
         self,
         outline: planning.GridPlan,
         jobs: Sequence[TrainingJob],
         done: Sequence[TrainingJob],
-        places: Mapping[str, DataLocation],
+        locations: Mapping[str, DataLocation],
+        scoring: ScoringTask,
         fingerprints: Mapping[str, str],
     ) -> Path:
         from farfield.papers.page import write_page
 
-        self.said(f"deciding on {len(self.claims)} claims with {len(done)} of {len(jobs)} runs")
-        kept = [scores_of(job, self._runs) for job in done]
-        scores = Scores.of(kept)
-        chosen = self._chosen(self.settings.statistics_on, places)
-        bulk = JobOptions(workers=self.hands, progress=self.progress("counting points"))
-        objects = objects_in({name: places[name] for name in chosen}, bulk)
-        decided = DecisionRule(
-            claims=self.claims, grid=self.grid, settings=self.settings, scores=scores, objects=objects
-        ).decided()
-        made = ReproductionSummary(
+        # decide
+        self.report(f"deciding on {len(self.claims)} claims with {len(done)} of {len(jobs)} runs")
+        trees = [scores_of(job, self._runs) for job in done]
+        scores = Scores.of(trees)
+        options = JobOptions(workers=self.num_workers, progress=self.progress("counting points"))
+        objects = objects_in(self._existing(self.settings.statistics_on, locations), options)
+        rule = DecisionRule(claims=self.claims, grid=self.grid, settings=self.settings, scores=scores, objects=objects)
+        comparisons = rule.decide()
+        # the summary
+        weights = {job.folder: self._runs / job.folder / WEIGHTS for job in done}
+        weights = {folder: path for folder, path in weights.items() if path.is_file()}  # one that diverged has none
+        of_first_seed = {
+            run: weights[job.folder] for job in done if job.seed == 0 and job.folder in weights for run in job.runs
+        }
+        reproduced = ReproductionSummary(
             paper=self.paper,
             budget=self.budget,
             simulated=self.simulated,
             steps=outline.steps,
             planned=len(jobs),
             done=len(done),
-            failed=[(each["runs"][0], each["seed"], each["failed"]) for each in kept if each.get("failed")],
-            sets={name: (fingerprints[name], place.simulated) for name, place in places.items()},
-            trained_on=[load_weights(path)[1] for path in self._all_weights(done)],
+            failed=[(tree["runs"][0], tree["seed"], tree["failed"]) for tree in trees if tree.get("failed")],
+            sets={name: (fingerprints[name], location.simulated) for name, location in locations.items()},
+            trained_on=[load_weights(path)[1] for path in weights.values()],
         )
-        summary = summary_of(made, self.grid, self.claims, scores, objects, decided)
-        sheets = self._sheets(done, places)
+        summary = summary_of(reproduced, self.grid, self.claims, scores, objects, comparisons)
+        first_set = next(iter(scoring.locations.values()))
+        sheets = self._sheets(first_set, of_first_seed)
         summary["sheets"] = [{"title": group.title, "frames": group.facts()} for group in sheets]
-        summary["features"] = self._features(done, places)
-        summary["scenarios"] = self._scenarios(done, self._scoring(places, fingerprints))
+        summary["features"] = feature_maps(of_first_seed, first_set, self.settings.score)
+        seeds = seeds_of(job for job in done if job.folder in weights)
+        by_pattern = {
+            name: [scoring.detections(weights[patterns[name].folder], name) for patterns in seeds.values()]
+            for name in PATTERNS
+        }
+        summary["scenarios"] = scenarios_of(by_pattern, scoring.score)
         write_text(self.out / SUMMARY, json.dumps(summary, indent=1) + "\n")
+        # what the clocks measured, and the page
         runs = {job.folder: {"runs": list(job.runs), "clock": clocks_of(job, self._runs)} for job in done}
         timing = {"planned": outline.to_json(), "runs": runs}
         write_text(self.out / TIMING, json.dumps(timing, indent=1) + "\n")
         curves = curves_of(scores, self.settings.score)
         return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns, sheets=sheets)
 
-    def _all_weights(self, done: Sequence[TrainingJob]) -> list[Path]:
-        """Weights of all runs that have any: one that diverged has none."""
-        files = [self._runs / job.folder / WEIGHTS for job in done]
-        return [path for path in files if path.is_file()]
-
-    def _weights(self, done: Sequence[TrainingJob]) -> dict[str, Path]:
-        """Weights of the first seed by run."""
-        files = {run: self._runs / job.folder / WEIGHTS for job in done if job.seed == 0 for run in job.runs}
-        return {run: path for run, path in files.items() if path.is_file()}
-
-    def _features(self, done: Sequence[TrainingJob], places: Mapping[str, DataLocation]) -> list[Tree]:
-        (first, *_) = self._chosen(self.settings.scored_on, places)
-        return feature_maps(self._weights(done), places[first], self.settings.score)
-
-    def _sheets(self, done: Sequence[TrainingJob], places: Mapping[str, DataLocation]) -> "list[SheetGroup]":
+    def _sheets(self, first_set: DataLocation, weights: Mapping[str, Path]) -> "list[SheetGroup]":
         """K-Radar's sheets; their frames are simulated now if they are not there yet."""
         if self.paper != "kradar":
             return []
-        own = self.sheet_places
-        provide_sheets(own, workers=self.hands, progress=self.progress("simulating the sheets"), report=self.said)
-        (first, *_) = self._chosen(self.settings.scored_on, places)
-        data = None if self.simulated else places[first]
-        return sheets_of(own, data, self._weights(done), self.settings)
-
-    def _scenarios(self, done: Sequence[TrainingJob], scoring: ScoringTask) -> Tree:
-        seeds = seeds_of(job for job in done if (self._runs / job.folder / WEIGHTS).is_file())
-        runs = {
-            name: [scoring.detections(self._runs / jobs[name].folder / WEIGHTS, name) for jobs in seeds.values()]
-            for name in PATTERNS
-        }
-        return scenarios_of(runs, scoring.score)
+        locations = self.sheet_locations
+        progress = self.progress("simulating the sheets")
+        provide(locations, workers=self.num_workers, progress=progress, report=self.report)
+        return sheets_of(locations, None if self.simulated else first_set, weights, self.settings)
 
 
 def _read(path: Path) -> Tree:

@@ -1,9 +1,12 @@
-"""What the two scan patterns are for: scores by road and direction, and a rule that switches by road.
+"""What the two scan patterns are for: scores by road and direction, a rule that switches by road, and their tables.
 
-Cirrus, section I: the patterns are for different scenarios. Each is seen by the detector that was trained on it.
+Cirrus, section I: the patterns are for different scenarios. Each is scored by the detector that was trained on it.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.metrics import Bootstrap, Detections
@@ -11,6 +14,7 @@ from farfield.metrics.breakdown import AZIMUTHS_DEG, parts
 from farfield.metrics.deciding import decide, difference, figure, switched, switching_gains
 from farfield.papers.grid import Score, Tree
 from farfield.papers.jobs import TrainingJob
+from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.patterns import PATTERNS
 
 REPLICATES = 300
@@ -20,12 +24,12 @@ _DDS = figure("dds/0/dds")
 
 def seeds_of(jobs: Iterable[TrainingJob]) -> dict[int, dict[str, TrainingJob]]:
     """Jobs of the rows that are named as the patterns, by seed; those seeds that have all of them."""
-    found: dict[int, dict[str, TrainingJob]] = {}
+    seeds: dict[int, dict[str, TrainingJob]] = {}
     for job in jobs:
         for name in PATTERNS:
             if name in job.runs:
-                found.setdefault(job.seed, {})[name] = job
-    return {seed: each for seed, each in sorted(found.items()) if len(each) == len(PATTERNS)}
+                seeds.setdefault(job.seed, {})[name] = job
+    return {seed: patterns for seed, patterns in sorted(seeds.items()) if len(patterns) == len(PATTERNS)}
 
 
 def scenarios_of(runs: Mapping[str, Sequence[Detections]], score: Score, *, replicates: int = REPLICATES) -> Tree:
@@ -33,7 +37,7 @@ def scenarios_of(runs: Mapping[str, Sequence[Detections]], score: Score, *, repl
 
     Args:
         runs: Detections by pattern, seed by seed.
-        score: How runs are scored; of a protocol other than DDS nothing is said.
+        score: How runs are scored; without the DDS protocol there are no scenarios.
         replicates: Draws of the drives.
 
     Returns:
@@ -56,49 +60,136 @@ def scenarios_of(runs: Mapping[str, Sequence[Detections]], score: Score, *, repl
 
 
 def _by_part(runs: Mapping[str, Sequence[Detections]], settings: Tree, replicates: int) -> list[Tree]:
-    parted = {name: [parts(found, _KINDS, azimuths_deg=AZIMUTHS_DEG) for found in row] for name, row in runs.items()}
-    first = next(iter(parted.values()))[0]
-    rows = []
-    for kind, values in first.items():
-        for value in values if len(values) > 1 else ():
-            sides = {name: [found[kind][value] for found in row] for name, row in parted.items()}
-            rows.append({"kind": kind, "value": value, **_compared(sides, settings, replicates)})
-    return rows
+    by_part = {
+        name: [parts(detections, _KINDS, azimuths_deg=AZIMUTHS_DEG) for detections in seeds]
+        for name, seeds in runs.items()
+    }
+    first = next(iter(by_part.values()))[0]
+    return [
+        {"kind": kind, "value": value, **_compare(kind, value, by_part, settings, replicates)}
+        for kind, values in first.items()
+        if len(values) > 1
+        for value in values
+    ]
 
 
-def _compared(sides: Mapping[str, Sequence[Detections]], settings: Tree, replicates: int) -> Tree:
-    means, counts = {}, 0
-    for name, row in sides.items():
-        scored = [found.score("dds", bootstrap=Bootstrap(replicates=0), **settings) for found in row]
-        means[name] = _mean([_DDS.of({"overall": result.figures}) for result in scored])
-        counts = int(scored[0].counts["annotated"])
+def _compare(kind: str, value: str, by_part: Mapping[str, Sequence[Any]], settings: Tree, replicates: int) -> Tree:
+    """Means of both patterns in a part, and the decision on their difference; None where nothing is annotated."""
+    sides = {name: [part[kind][value] for part in seeds] for name, seeds in by_part.items()}
+    means, annotated = {}, 0
+    for name, seeds in sides.items():
+        means[name], counts = _mean_dds(seeds, settings)
+        annotated = int(counts["annotated"])
     a, b = sides.values()
-    return {"annotated": counts, "means": means, "decision": _decided(a, b, settings, replicates)}
-
-
-def _decided(a: Sequence[Detections], b: Sequence[Detections], settings: Tree, replicates: int) -> Tree | None:
     try:
-        return decide(difference(a, b, _DDS, replicates=replicates, **settings)).to_json()
+        decision = decide(difference(a, b, _DDS, replicates=replicates, **settings)).to_json()
     except ConfigError:  # nothing is annotated there
-        return None
+        decision = None
+    return {"annotated": annotated, "means": means, "decision": decision}
 
 
 def _switching(runs: Mapping[str, Sequence[Detections]], settings: Tree, replicates: int) -> Tree | None:
-    seeds = [dict(zip(runs, each, strict=True)) for each in zip(*runs.values(), strict=True)]
+    seeds = [dict(zip(runs, patterns, strict=True)) for patterns in zip(*runs.values(), strict=True)]
     try:
-        rules = [switched(found, _SWITCHED_BY, **settings) for found in seeds]
+        rules = [switched(patterns, _SWITCHED_BY, **settings) for patterns in seeds]
         gains = switching_gains(runs, _SWITCHED_BY, replicates=replicates, **settings)
-    except ConfigError:  # too few drives, or roads that nobody states
+    except ConfigError:  # too few drives, or frames without a kind of road
         return None
-    scored = [rule.found.score("dds", bootstrap=Bootstrap(replicates=0), **settings) for rule in rules]
     return {
         "by": _SWITCHED_BY,
         "choices": [dict(choice) for rule in rules for choice in rule.choices],
-        "mean": _mean([_DDS.of({"overall": result.figures}) for result in scored]),
+        "mean": _mean_dds([rule.found for rule in rules], settings)[0],
         "gains": {name: decide(gain).to_json() for name, gain in gains.items()},
     }
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if known and len(known) == len(values) else None
+def _mean_dds(seeds: Sequence[Detections], settings: Tree) -> tuple[float | None, Mapping[str, Any]]:
+    """Mean DDS over seeds, None where one has none, and the counts of the first seed."""
+    results = [detections.score("dds", bootstrap=Bootstrap(replicates=0), **settings) for detections in seeds]
+    values = [_DDS.of({"overall": result.figures}) for result in results]
+    figures = [value for value in values if value is not None]
+    mean = sum(figures) / len(figures) if figures and len(figures) == len(values) else None
+    return mean, results[0].counts
+
+
+# The tables of the page
+
+NOTHING = "–"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioRow:
+    """A road or direction, or a fixed choice that the rule is compared with; texts, empty where there is nothing."""
+
+    what: str
+    difference: str
+    interval: str
+    verdict: str
+    annotated: str = ""
+    means: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenarios:
+    """Both tables.
+
+    Args:
+        names: The patterns.
+        claim: What is claimed of the differences.
+        rows: Roads and directions.
+        choices: Which pattern the rule chose on which road, and how often.
+        mean: The rule's figure.
+        rule: The rule against each fixed choice.
+    """
+
+    names: tuple[str, ...]
+    claim: str
+    rows: tuple[ScenarioRow, ...]
+    choices: str = ""
+    mean: str = ""
+    rule: tuple[ScenarioRow, ...] = ()
+
+
+def scenario_tables(tree: Mapping[str, Any]) -> Scenarios | None:
+    """The tables of what ``reproduction.json`` holds under ``scenarios``; None where it holds nothing."""
+    if not tree.get("parts"):
+        return None
+    names = tuple(tree["parts"][0]["means"])
+    switching = tree.get("switching") or {}
+    rows = []
+    for part in tree["parts"]:
+        value = str(part["value"]).replace("_", " ")
+        row = _scenario_row(value if part["kind"] in CONDITIONS else f"{value} degrees", part["decision"])
+        means = tuple(_figure(part["means"][name]) for name in names)
+        rows.append(replace(row, annotated=f"{part['annotated']:,}", means=means))
+    choices = switching.get("choices", ())
+    counts = Counter((road, pattern) for choice in choices for road, pattern in choice.items())
+    return Scenarios(
+        names=names,
+        claim=f"{names[0]} above {names[1]}",
+        rows=tuple(rows),
+        choices=", ".join(
+            sorted(
+                f"{road.replace('_', ' ')} {pattern} ({count} of {len(choices)})"
+                for (road, pattern), count in counts.items()
+            )
+        ),
+        mean=_figure(switching.get("mean")),
+        rule=tuple(_scenario_row(name, decision) for name, decision in switching.get("gains", {}).items()),
+    )
+
+
+def _scenario_row(name: str, decision: Mapping[str, Any] | None) -> ScenarioRow:
+    if decision is None:
+        return ScenarioRow(what=name, difference=NOTHING, interval="", verdict="nothing annotated")
+    estimate, interval = (decision["difference"].get(key) for key in ("estimate", "interval"))
+    return ScenarioRow(
+        what=name,
+        difference=NOTHING if estimate is None else f"{estimate:+.3f}",
+        interval=f"{interval[0]:+.3f} to {interval[1]:+.3f}" if interval else "",
+        verdict=decision["words"],
+    )
+
+
+def _figure(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.3f}"

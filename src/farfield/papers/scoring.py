@@ -14,32 +14,95 @@ from farfield.detectors.runtime import Detector
 from farfield.evaluation import detect
 from farfield.frame import Annotation, Boxes, Key
 from farfield.metrics import PROTOCOLS, Bootstrap, Detections
-from farfield.metrics.deciding import ScoreSample, samples
-from farfield.papers.grid import Score, Tree
-from farfield.papers.jobs import TrainingJob, code_digest
-from farfield.papers.needs import RequiredScore
-from farfield.papers.places import DataLocation
+from farfield.metrics.deciding import Scalar, ScoreSample, samples
+from farfield.papers.claims import Claim, Claims, ClaimSide
+from farfield.papers.grid import ExperimentGrid, Score, Tree
+from farfield.papers.jobs import TrainingJob, cloud_of, code_digest
+from farfield.papers.locations import DataLocation
+from farfield.papers.running import GridScoring
 
 _DECIMALS = 7
 _NO_INTERVALS = Bootstrap(replicates=0)
-_UNKEPT = ("curves", "intervals")
+_LARGE = ("curves", "intervals")
 """Parts of a result that are large and not needed of every seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScoringTask:
+class RequiredScore:
+    """A number of a run that claims compare.
+
+    Args:
+        run: The run.
+        cloud: The cloud that it is scored on.
+        table: The table whose ranges hold; empty where there are none.
+        scalar: The number.
+        matched: The two parts whose frames are made alike in their numbers of objects; none: all frames count.
+    """
+
+    run: str
+    cloud: str
+    table: str
+    scalar: Scalar
+    matched: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Its key among a run's samples of a cloud."""
+        matched = f"; matched {', '.join(self.matched)}" if self.matched else ""
+        return f"{self.table}: {self.scalar}{matched}"
+
+
+def needs_of(claims: Claims, grid: ExperimentGrid, score: Score) -> list[RequiredScore]:
+    """All numbers that claims compare in a protocol's figures, without repetition."""
+    needs = (
+        need_of(row, claim, metric, claims, grid, score)
+        for claim in claims
+        for metric in claim.metrics
+        if claims.metrics[metric].protocol
+        for pair in claim.pairs
+        for row in (pair.a, pair.b)
+        if row.run in grid.runs
+    )
+    return list(dict.fromkeys(needs))
+
+
+def need_of(
+    row: ClaimSide, claim: Claim, metric: str, claims: Claims, grid: ExperimentGrid, score: Score
+) -> RequiredScore:
+    """The number that a row of a claim compares.
+
+    Args:
+        row: The row.
+        claim: Its claim.
+        metric: The metric, unless the row has one of its own.
+        claims: All claims.
+        grid: The grid.
+        score: How runs are scored.
+    """
+    table = score.table(claim.table)
+    return RequiredScore(
+        run=row.run,
+        cloud=cloud_of(row, grid),
+        table=table,
+        scalar=row.scalar(claims.metrics[row.metric or metric], score.parts(table)),
+        matched=row.parts if row.matched else (),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoringTask(GridScoring):
     """How runs are scored.
 
     Args:
         score: Protocol, settings, ranges by table.
-        places: The sets on whose frames runs are scored; frames of all count together.
-        fingerprints: What tells their frames.
+        locations: The sets on whose frames runs are scored; frames of all count together.
+        fingerprints: Fingerprint of the frames of each set.
         needs: The numbers that claims compare.
         replicates: Draws of the sequences.
     """
 
     score: Score
-    places: Mapping[str, DataLocation]
+    locations: Mapping[str, DataLocation]
     fingerprints: Mapping[str, str]
     needs: tuple[RequiredScore, ...]
     replicates: int
@@ -47,73 +110,74 @@ class ScoringTask:
     @property
     def digest(self) -> str:
         """Hash of all that decides the scores besides the weights."""
-        said = [
+        tree = [
             self.score.model_dump(mode="json"),
             dict(self.fingerprints),
             sorted(f"{need.run} {need.cloud} {need.name}" for need in self.needs),
             self.replicates,
             code_digest(),
         ]
-        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()
 
     def of_job(self, job: TrainingJob, weights: Path) -> Tree:
         """The scores of a job as JSON values."""
-        found = dict[str, Any]()
+        clouds: Tree = {}
         for cloud in job.clouds:
-            seen = self.detections(weights, cloud)
-            found[cloud] = {
-                "results": self._results(seen, whole=job.seed == 0),
-                "samples": self._samples(seen, job, cloud),
+            detections = self.detections(weights, cloud)
+            clouds[cloud] = {
+                "results": self._results(detections, with_curves=job.seed == 0),
+                "samples": self._samples(detections, job, cloud),
             }
-        return {"runs": list(job.runs), "seed": job.seed, "key": job.key, "clouds": found}
+        return {"runs": list(job.runs), "seed": job.seed, "key": job.key, "clouds": clouds}
 
     def detections(self, weights: Path, cloud: str) -> Detections:
-        """What a run's detector finds in all frames; it is kept beside the weights, and not searched for again."""
-        detector, several = Detector.load(weights), len(self.places) > 1
-        parts = {
+        """Detections of a run in all frames; a journal beside the weights keeps them for the next time."""
+        detector = Detector.load(weights)
+        by_set = {
             name: detect(
                 detector,
-                place.opened(),
+                location.open(),
                 cloud=cloud,
                 annotated_only=True,
                 journal=weights.parent / f"found-{name}-{cloud}.jsonl",
             )
-            for name, place in self.places.items()
+            for name, location in self.locations.items()
         }
-        return together(parts) if several else next(iter(parts.values()))
+        return merge_sets(by_set) if len(by_set) > 1 else next(iter(by_set.values()))
 
-    def _results(self, found: Detections, *, whole: bool) -> Tree:
-        """The result by table; that of the first seed with its curves."""
+    def _results(self, detections: Detections, *, with_curves: bool) -> Tree:
+        """The result by table."""
         results: Tree = {}
         for table in self.score.tables:
             settings = {**self.score.settings_of(table), "bootstrap": _NO_INTERVALS}
-            result = found.score(self.score.protocol, **settings).to_json()
-            results[table] = {name: value for name, value in result.items() if whole or name not in _UNKEPT}
+            result = detections.score(self.score.protocol, **settings).to_json()
+            results[table] = {name: value for name, value in result.items() if with_curves or name not in _LARGE}
         return results
 
-    def _samples(self, found: Detections, job: TrainingJob, cloud: str) -> Tree:
-        wanted = [need for need in self.needs if need.run in job.runs and need.cloud == cloud]
-        alike: dict[tuple[str, tuple[str, ...]], list[RequiredScore]] = defaultdict(list)
-        for need in wanted:
-            alike[need.table, need.matched].append(need)
-        kept: Tree = {}
-        for (table, matched), needs in alike.items():
-            drawn = self._drawn(found, table, matched, needs)
-            kept |= {name: json_of_sample(sample) for name, sample in drawn.items()}
-        return dict(sorted(kept.items()))
+    def _samples(self, detections: Detections, job: TrainingJob, cloud: str) -> Tree:
+        """The numbers that claims compare of a job, by name: those of one table and match are drawn together."""
+        groups: dict[tuple[str, tuple[str, ...]], list[RequiredScore]] = defaultdict(list)
+        for need in self.needs:
+            if need.run in job.runs and need.cloud == cloud:
+                groups[need.table, need.matched].append(need)
+        trees: Tree = {}
+        for (table, matched), needs in groups.items():
+            drawn = self._drawn(detections, table, matched, needs)
+            trees |= {name: json_of_sample(sample) for name, sample in drawn.items()}
+        return dict(sorted(trees.items()))
 
     def _drawn(
-        self, found: Detections, table: str, matched: tuple[str, ...], needs: Sequence[RequiredScore]
+        self, detections: Detections, table: str, matched: tuple[str, ...], needs: Sequence[RequiredScore]
     ) -> dict[str, ScoreSample]:
         settings = self.score.settings_of(table) | _only(self.score.protocol, needs)
-        frames = matched_frames(found, matched) if matched else None
-        some = found if frames is None else _of_frames(found, frames)
+        frames = matched_frames(detections, matched) if matched else None
+        some = detections if frames is None else _of_frames(detections, frames)
         protocol = PROTOCOLS[self.score.protocol]
-        there = protocol.weighted(some.counted(), protocol.settings(some.counted(), **settings)).parts if some else {}
-        scalars = {need.name: need.scalar for need in needs if set(need.scalar.parts) <= set(there)}
+        parts = protocol.weighted(some.counted(), protocol.settings(some.counted(), **settings)).parts if some else {}
+        scalars = {need.name: need.scalar for need in needs if set(need.scalar.parts) <= set(parts)}
         if not scalars:
             return {}
-        return samples(found, scalars, protocol=protocol, replicates=self.replicates, frames=frames, **settings)
+        return samples(detections, scalars, protocol=protocol, replicates=self.replicates, frames=frames, **settings)
 
 
 def _only(protocol: str, needs: Sequence[RequiredScore]) -> Tree:
@@ -124,59 +188,60 @@ def _only(protocol: str, needs: Sequence[RequiredScore]) -> Tree:
     return {"epsilons": tuple(sorted({float(name.split("/")[1]) for name in names}))}
 
 
-def together(parts: Mapping[str, Detections]) -> Detections:
+def merge_sets(by_set: Mapping[str, Detections]) -> Detections:
     """Detections in several sets as those in one, whose sequences are named by set."""
-    first = next(iter(parts.values()))
+    first = next(iter(by_set.values()))
     boxes: dict[Key, Boxes] = {}
     annotations: dict[Key, Annotation] = {}
     conditions: dict[Key, Mapping[str, str]] = {}
     drives = []
-    for name, part in parts.items():
-        boxes |= {_named(name, key): each for key, each in part.boxes.items()}
-        annotations |= {_named(name, key): each for key, each in part.annotations.items()}
-        conditions |= {_named(name, key): each for key, each in part.conditions.items()}
+    for name, detections in by_set.items():
+        boxes |= {_in_set(name, key): value for key, value in detections.boxes.items()}
+        annotations |= {_in_set(name, key): value for key, value in detections.annotations.items()}
+        conditions |= {_in_set(name, key): value for key, value in detections.conditions.items()}
         drives += [
-            replace(drive, name=f"{name}: {drive.name}", keys=tuple(_named(name, key) for key in drive.keys))
-            for drive in part.drives
+            replace(drive, name=f"{name}: {drive.name}", keys=tuple(_in_set(name, key) for key in drive.keys))
+            for drive in detections.drives
         ]
     return replace(
         first, boxes=boxes, annotations=annotations, conditions=conditions, drives=tuple(drives), prediction_details={}
     )
 
 
-def _named(name: str, key: Key) -> Key:
+def _in_set(name: str, key: Key) -> Key:
     return f"{name}: {key[0]}", key[1]
 
 
-def matched_frames(found: Detections, parts: Sequence[str]) -> set[Key]:
-    """Frames of two conditions, as many of each with every number of annotated objects.
+def matched_frames(detections: Detections, parts: Sequence[str]) -> set[Key]:
+    """Frames of two conditions, as many of each with every number of annotated objects, chosen by a hash of their keys.
 
     Args:
-        found: Detections, with the conditions of their frames.
+        detections: Detections, with the conditions of their frames.
         parts: The two parts, such as ``"weather/overcast"`` and ``"weather/normal"``.
     """
     by_count: dict[int, dict[str, list[Key]]] = defaultdict(lambda: {part: [] for part in parts})
-    for key in sorted(found.annotations, key=_by_hash):
+    for key in sorted(detections.annotations, key=_hash_of):
         for part in parts:
             kind, _, value = part.partition("/")
-            if found.conditions.get(key, {}).get(kind) == value:
-                by_count[len(found.annotations[key].boxes)][part].append(key)
-    kept: set[Key] = set()
+            if detections.conditions.get(key, {}).get(kind) == value:
+                by_count[len(detections.annotations[key].boxes)][part].append(key)
+    matched: set[Key] = set()
     for frames in by_count.values():
         fewest = min(map(len, frames.values()))
-        kept |= {key for keys in frames.values() for key in keys[:fewest]}
-    return kept
+        matched |= {key for keys in frames.values() for key in keys[:fewest]}
+    return matched
 
 
-def _by_hash(key: Key) -> bytes:
+def _hash_of(key: Key) -> bytes:
     return hashlib.sha256("\0".join(key).encode()).digest()
 
 
-def _of_frames(found: Detections, frames: set[Key]) -> Detections | None:
-    kept = {key: each for key, each in found.annotations.items() if key in frames}
-    if not kept:
+def _of_frames(detections: Detections, frames: set[Key]) -> Detections | None:
+    annotations = {key: value for key, value in detections.annotations.items() if key in frames}
+    if not annotations:
         return None
-    return replace(found, annotations=kept, boxes={key: each for key, each in found.boxes.items() if key in frames})
+    boxes = {key: value for key, value in detections.boxes.items() if key in frames}
+    return replace(detections, annotations=annotations, boxes=boxes)
 
 
 def json_of_sample(sample: ScoreSample) -> Tree:
@@ -191,13 +256,13 @@ def json_of_sample(sample: ScoreSample) -> Tree:
     }
 
 
-def sample_of(kept: Mapping[str, Any]) -> ScoreSample:
-    """Read a sample that was kept as JSON."""
-    draws = np.array([np.nan if value is None else value for value in kept["draws"]], dtype=np.float64)
+def sample_of(tree: Mapping[str, Any]) -> ScoreSample:
+    """Read a sample of JSON values."""
+    draws = np.array([np.nan if value is None else value for value in tree["draws"]], dtype=np.float64)
     return ScoreSample(
-        value=kept["value"],
+        value=tree["value"],
         draws=draws,
-        drawn=str(kept["drawn"]),
-        grouped_by=str(kept["grouped_by"]),
-        groups=int(kept["groups"]),
+        drawn=str(tree["drawn"]),
+        grouped_by=str(tree["grouped_by"]),
+        groups=int(tree["groups"]),
     )

@@ -15,11 +15,11 @@ from farfield.geometry.boxes import BOX_MARGIN_M, count_points_in_boxes
 from farfield.jobs import JobOptions, Unit, UnitResult, values
 from farfield.metrics.deciding import Difference, measured
 from farfield.papers.claims import ClaimSide, Comparison
-from farfield.papers.places import DataLocation
+from farfield.papers.locations import DataLocation
 from farfield.vocabulary.patterns import PATTERNS
 
 LEAST_RETURNS = 5
-"""Returns from which an object counts as seen."""
+"""Returns from which an object counts as detectable."""
 _LIDAR = "os2-64"
 
 
@@ -31,7 +31,7 @@ class AnnotatedObjects:
         points: Points of each cloud in each box, shape (n,), by cloud; -1 where a frame lacks the cloud.
         range_m: Distance of each in the plane, shape (n,).
         road: Number of the road that each is on: sequences of one name are one road in several weathers, shape (n,).
-        weather: Weather of its frame, shape (n,); empty where not known.
+        weather: Weather of its frame, shape (n,); empty where it is not recorded.
         label: Its class, shape (n,).
         roads: Number of roads.
     """
@@ -46,8 +46,12 @@ class AnnotatedObjects:
     @property
     def columns(self) -> dict[str, Any]:
         """Range, class, weather and points, for pictures."""
-        known = {"range_m": self.range_m, "label": self.label, "weather": self.weather}
-        return {**known, "points": dict(self.points)}
+        return {
+            "range_m": self.range_m,
+            "label": self.label,
+            "weather": self.weather,
+            "points": dict(self.points),
+        }
 
     def inside(self, part: str) -> Bool[np.ndarray, " n"]:
         """Which objects belong to a part: ``"overall"``, ``"200-250"`` or ``"weather/rain"``."""
@@ -79,31 +83,32 @@ class _PointCounting:
         return UnitResult(value=rows)
 
 
-def objects_in(places: Mapping[str, DataLocation], bulk: JobOptions) -> AnnotatedObjects:
+def objects_in(locations: Mapping[str, DataLocation], options: JobOptions) -> AnnotatedObjects:
     """Count points on the annotated objects of all sets.
 
     Args:
-        places: The sets.
-        bulk: Who does it.
+        locations: The sets.
+        options: Workers and progress.
     """
-    found: list[Any] = []
-    for place in places.values():
-        data = place.opened()
-        units = [Unit("/".join(key), parameters=number) for number, key in enumerate(data.keys)]
-        found += [done.value for done in values(_PointCounting(data), units, bulk) if done.value is not None]
-    roads = {name: number for number, name in enumerate(sorted({sequence for _, _, sequence, _, _ in found}))}
-    clouds = sorted({name for counts, *_ in found for name in counts})
-    lengths = [len(range_m) for _, range_m, *_ in found]
+    frames: list[Any] = []
+    for location in locations.values():
+        data = location.open()
+        units = [Unit("/".join(key), parameters=index) for index, key in enumerate(data.keys)]
+        results = values(_PointCounting(data), units, options)
+        frames += [result.value for result in results if result.value is not None]
+    roads = {name: number for number, name in enumerate(sorted({sequence for _, _, sequence, _, _ in frames}))}
+    clouds = sorted({name for counts, *_ in frames for name in counts})
+    lengths = [len(range_m) for _, range_m, *_ in frames]
     missing = [np.full(length, -1, dtype=np.int64) for length in lengths]
     return AnnotatedObjects(
         points={
-            name: _joined([counts.get(name, gap) for (counts, *_), gap in zip(found, missing, strict=True)], np.int64)
+            name: _joined([counts.get(name, gap) for (counts, *_), gap in zip(frames, missing, strict=True)], np.int64)
             for name in clouds
         },
-        range_m=_joined([range_m for _, range_m, *_ in found], np.float64),
-        road=np.repeat([roads[sequence] for _, _, sequence, _, _ in found], lengths).astype(np.int64),
-        weather=np.repeat(np.array([weather for *_, weather, _ in found], dtype=np.str_), lengths),
-        label=np.concatenate([np.asarray(label, dtype=np.str_) for *_, label in found] or [np.zeros(0, np.str_)]),
+        range_m=_joined([range_m for _, range_m, *_ in frames], np.float64),
+        road=np.repeat([roads[sequence] for _, _, sequence, _, _ in frames], lengths).astype(np.int64),
+        weather=np.repeat(np.array([weather for *_, weather, _ in frames], dtype=np.str_), lengths),
+        label=np.concatenate([np.asarray(label, dtype=np.str_) for *_, label in frames] or [np.zeros(0, np.str_)]),
         roads=len(roads),
     )
 
@@ -112,7 +117,10 @@ def _joined(arrays: list[Any], kind: Any) -> Any:
     return np.concatenate(arrays).astype(kind) if arrays else np.zeros(0, dtype=kind)
 
 
-def compared(pair: Comparison, statistic: str, objects: AnnotatedObjects, *, replicates: int) -> Difference:
+Value = Callable[[Int[np.ndarray, " n"], Float[np.ndarray, " n"]], float | None]
+
+
+def statistic_difference(pair: Comparison, statistic: str, objects: AnnotatedObjects, *, replicates: int) -> Difference:
     """The difference of a statistic between two rows of a claim, with its spread over roads.
 
     Args:
@@ -124,18 +132,14 @@ def compared(pair: Comparison, statistic: str, objects: AnnotatedObjects, *, rep
     Raises:
         ConfigError: If there is no such statistic.
     """
-    value = _statistic(statistic)
-    return measured(partial(_difference, pair, value, objects), objects.roads, replicates=replicates)
-
-
-Value = Callable[[Int[np.ndarray, " n"], Float[np.ndarray, " n"]], float | None]
-
-
-def _statistic(name: str) -> Value:
-    known: dict[str, Value] = {"log_points_in_boxes": _log_mean, "share_of_objects_with_returns": _share_seen}
-    if name not in known:
-        raise ConfigError(f"statistic: expected one of {', '.join(known)}; got {name!r}")
-    return known[name]
+    statistics: dict[str, Value] = {
+        "log_points_in_boxes": _log_mean,
+        "share_of_objects_with_returns": _share_with_returns,
+    }
+    if statistic not in statistics:
+        raise ConfigError(f"statistic: expected one of {', '.join(statistics)}; got {statistic!r}")
+    of_weights = partial(_difference, pair, statistics[statistic], objects)
+    return measured(of_weights, objects.roads, replicates=replicates)
 
 
 def _log_mean(points: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float | None:
@@ -145,7 +149,7 @@ def _log_mean(points: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) ->
     return math.log(mean) if mean > 0 else None
 
 
-def _share_seen(points: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float | None:
+def _share_with_returns(points: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float | None:
     """Weighted share of objects with enough returns; None without objects."""
     total = float(weight.sum())
     return float(weight @ (points >= LEAST_RETURNS)) / total if total else None
@@ -154,16 +158,18 @@ def _share_seen(points: Int[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) 
 def _row_value(
     row: ClaimSide, value: Value, objects: AnnotatedObjects, weight: Float[np.ndarray, " roads"]
 ) -> float | None:
+    """The statistic of a row's part, minus that of the part that it subtracts; roads count by their weight."""
     points = objects.points.get(row.cloud)
     if points is None:
         return None
-    found = []
-    for part in row.parts:
+    total = 0.0
+    for sign, part in zip((1, -1), row.parts, strict=False):
         rows = np.flatnonzero(objects.inside(part) & (points >= 0))
-        found.append(value(points[rows], weight[objects.road[rows]]))
-    if any(each is None for each in found):
-        return None
-    return float(found[0]) - (float(found[1]) if len(found) > 1 else 0.0)  # type: ignore[arg-type]
+        of_part = value(points[rows], weight[objects.road[rows]])
+        if of_part is None:
+            return None
+        total += sign * float(of_part)
+    return total
 
 
 def _difference(

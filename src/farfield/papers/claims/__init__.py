@@ -5,7 +5,6 @@ claims["C1"].comparisons[0].published("dds")       # 0.0772: what the paper's ta
 claims.sha256                                      # stands on the page beside every decision
 """
 
-from farfield.papers.claims.loading import CLAIMS, Claims, load
-from farfield.papers.claims.schema import Claim, ClaimRun, ClaimSide, Comparison, Metric
+from farfield.papers.claims.schema import CLAIMS, Claim, ClaimRun, Claims, ClaimSide, Comparison, Metric, load
 
 __all__ = ["CLAIMS", "Claim", "ClaimRun", "ClaimSide", "Claims", "Comparison", "Metric", "load"]

@@ -1,23 +1,35 @@
-"""What a claim is made of: rows of a table, what is compared of them, and what the paper published."""
+"""A paper's claims: rows of a table, what is compared of them, what the paper published; and how they are read."""
 
-from typing import Any, Literal
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FileFormatError, plain
+from farfield.files.atomic import read_bytes
 from farfield.metrics.deciding import Hypothesis, Scalar, figure
 from farfield.metrics.deciding.decision import Kind
 from farfield.vocabulary.published_tables import OVERALL, PUBLISHED_TABLES, PublishedTable
 
+_FOLDER = Path(__file__).resolve().parent
+_MAX_BYTES = 1 << 20
+CLAIMS = ("cirrus", "kradar")
+"""Names of the shipped files of claims."""
 BUDGETS = ("laptop", "desk", "workstation", "gpu")
 Budget = Literal["laptop", "desk", "workstation", "gpu"]
 
 
-class _ClaimModel(BaseModel):
+class DeclaredModel(BaseModel):
+    """A part of a file that is declared before anything is run: unknown keys are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Metric(_ClaimModel):
+class Metric(DeclaredModel):
     """What is measured: a figure of a protocol, or a statistic of the data."""
 
     words: str
@@ -32,14 +44,14 @@ class Metric(_ClaimModel):
         return self
 
 
-class ClaimRun(_ClaimModel):
+class ClaimRun(DeclaredModel):
     """A training of the grid, once a seed."""
 
     words: str
     least_budget: Budget = Field("laptop", description="smallest budget that runs it")
 
 
-class ClaimSide(_ClaimModel):
+class ClaimSide(DeclaredModel):
     """One side of a comparison."""
 
     run: str = Field("", description="the training; none for a statistic of the data")
@@ -63,21 +75,21 @@ class ClaimSide(_ClaimModel):
             parts: What the result calls the parts: ``{"near": "0-70"}``; others keep their names.
         """
         names = [(parts or {}).get(part, part) for part in self.parts]
-        found = figure(metric.figure, names[0])
-        return found - figure(metric.figure, names[1]) if self.minus else found
+        scalar = figure(metric.figure, names[0])
+        return scalar - figure(metric.figure, names[1]) if self.minus else scalar
 
     def figure_published(self, paper: str, metric: str) -> float | None:
         """The paper's figure; None where it prints none."""
         if not self.published:
             return None
         table, row = _address(paper, self.published)
-        found = [table.at(row, part, self.metric or metric) for part in self.parts]
-        if any(value is None for value in found):
+        values = [table.at(row, part, self.metric or metric) for part in self.parts]
+        if any(value is None for value in values):
             return None
-        return sum(sign * (value or 0.0) for sign, value in zip((1, -1), found, strict=False))
+        return sum(sign * (value or 0.0) for sign, value in zip((1, -1), values, strict=False))
 
 
-class Comparison(_ClaimModel):
+class Comparison(DeclaredModel):
     """Two rows, of which the first is claimed to lie above the second unless ``kind`` says otherwise."""
 
     a: ClaimSide
@@ -101,12 +113,12 @@ class Comparison(_ClaimModel):
         return Hypothesis(kind=self.kind, margin=float(self.margin))
 
     def published(self, metric: str) -> float | None:
-        """The paper's difference A - B; None where the paper prints not both."""
+        """The paper's difference A - B; None where the paper does not print both."""
         values = [row.figure_published(self.paper, metric) for row in (self.a, self.b)]
         return None if values[0] is None or values[1] is None else values[0] - values[1]
 
 
-class Claim(_ClaimModel):
+class Claim(DeclaredModel):
     """One claim of a paper: it holds where each of its comparisons does."""
 
     id: str
@@ -119,13 +131,18 @@ class Claim(_ClaimModel):
     note: str = ""
 
     @property
+    def pairs(self) -> tuple[Comparison, ...]:
+        """Its comparisons, then its controls."""
+        return (*self.comparisons, *self.controls)
+
+    @property
     def runs(self) -> tuple[str, ...]:
         """The trainings that it needs, its controls' too."""
-        rows = [row for pair in (*self.comparisons, *self.controls) for row in (pair.a, pair.b)]
+        rows = [row for pair in self.pairs for row in (pair.a, pair.b)]
         return tuple(dict.fromkeys(row.run for row in rows if row.run))
 
 
-class Document(_ClaimModel):
+class Document(DeclaredModel):
     """A file of claims."""
 
     paper: Literal["cirrus", "kradar"]
@@ -135,11 +152,11 @@ class Document(_ClaimModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _knows_its_paper(cls, tree: Any) -> Any:
+    def _give_comparisons_their_paper(cls, tree: Any) -> Any:
         """Give each comparison the paper whose tables its rows name."""
         if not isinstance(tree, dict):
             return tree
-        claims = [each for each in tree.get("claims") or () if isinstance(each, dict)]
+        claims = [claim for claim in tree.get("claims") or () if isinstance(claim, dict)]
         pairs = [pair for claim in claims for kind in ("comparisons", "controls") for pair in claim.get(kind) or ()]
         for pair in pairs:
             if isinstance(pair, dict):
@@ -147,12 +164,12 @@ class Document(_ClaimModel):
         return tree
 
     @model_validator(mode="after")
-    def _names_what_there_is(self) -> "Document":
+    def _check_names(self) -> "Document":
         ids = [claim.id for claim in self.claims]
         if len(set(ids)) < len(ids):
             raise ValueError(f"expected each id once, got {', '.join(ids)}")
         for claim in self.claims:
-            for pair in (*claim.comparisons, *claim.controls):
+            for pair in claim.pairs:
                 for row in (pair.a, pair.b):
                     _check_row(self, claim, row)
         return self
@@ -186,3 +203,110 @@ def _address(paper: str, published: str) -> tuple[PublishedTable, str]:
     if number not in tables:
         raise ConfigError(f"published: expected a table among {', '.join(tables)} and a row, got {published!r}")
     return tables[number], row
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claims:
+    """The claims of a paper.
+
+    Args:
+        document: What the file declares.
+        sha256: Hash of the file's bytes: claims that were changed after a run have another.
+        path: The file.
+    """
+
+    document: Document
+    sha256: str
+    path: Path
+
+    def __iter__(self) -> Iterator[Claim]:
+        return iter(self.document.claims)
+
+    def __len__(self) -> int:
+        return len(self.document.claims)
+
+    def __getitem__(self, claim: str) -> Claim:
+        claims = {declared.id: declared for declared in self.document.claims}
+        if claim not in claims:
+            raise ConfigError(f"claim: expected one of {', '.join(claims)}; got {claim!r}")
+        return claims[claim]
+
+    @property
+    def paper(self) -> str:
+        """``"cirrus"`` or ``"kradar"``."""
+        return self.document.paper
+
+    @property
+    def metrics(self) -> dict[str, Metric]:
+        """What is measured, by name."""
+        return self.document.metrics
+
+    @property
+    def runs(self) -> dict[str, ClaimRun]:
+        """The trainings of the grid, by name."""
+        return self.document.runs
+
+    @property
+    def pairs(self) -> list[tuple[Claim, Comparison]]:
+        """All comparisons of all claims, controls among them."""
+        return [(claim, pair) for claim in self for pair in claim.pairs]
+
+
+def load(name_or_path: str | Path) -> Claims:
+    """Read claims: the shipped ones by name, or a file.
+
+    Args:
+        name_or_path: ``"cirrus"``, ``"kradar"`` or the path of a YAML file.
+
+    Raises:
+        ConfigError: If there is no such file.
+        FileFormatError: If it declares something that is not there or cannot be decided.
+    """
+    path = declared_path(name_or_path, "claims", _FOLDER)
+    document, sha256 = read_declared(path, Document, "declared claims")
+    return Claims(document=document, sha256=sha256, path=path)
+
+
+def declared_path(name_or_path: str | Path, kind: str, folder: Path) -> Path:
+    """The file of a paper's name, or a path.
+
+    Args:
+        name_or_path: One of :data:`CLAIMS`, or a path.
+        kind: What the file declares, for the message.
+        folder: Where the shipped files stand.
+
+    Raises:
+        ConfigError: If there is no such file.
+    """
+    path = folder / f"{name_or_path}.yaml" if name_or_path in CLAIMS else Path(name_or_path)
+    if not path.is_file():
+        raise ConfigError(f"{kind}: expected one of {', '.join(CLAIMS)} or a YAML file, got {name_or_path!s}")
+    return path
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def read_declared(
+    path: Path, model: type[Model], expected: str, changes: Mapping[str, Any] | None = None
+) -> tuple[Model, str]:
+    """Read a declared YAML file, and the SHA-256 of its bytes.
+
+    Args:
+        path: The file.
+        model: What it declares.
+        expected: The same in words, for messages.
+        changes: Keys of the file that are replaced.
+
+    Raises:
+        FileFormatError: If it is no YAML, or declares something that is not there.
+    """
+    data = read_bytes(path, max_bytes=_MAX_BYTES)
+    try:
+        tree = yaml.safe_load(data.decode("utf-8"))
+        document = model.model_validate({**tree, **changes} if changes else tree)
+    except ValidationError as error:
+        raise FileFormatError(path, where="keys", expected=expected, found=plain(error)) from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise FileFormatError(path, where="the file", expected="YAML", found=plain(error)) from None
+    return document, hashlib.sha256(data).hexdigest()

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NO_INTERVAL = "-"
-_LINES = ("-", "--", ":")  # equal curves are seen through one another, and more curves than colours differ
+_LINES = ("-", "--", ":")  # equal curves show through one another, and more curves than colours differ
 
 
 def write_transfer(path: Path, tree: Mapping[str, Any]) -> Path:
@@ -33,42 +33,35 @@ def render(tree: Mapping[str, Any]) -> str:
     Args:
         tree: What ``transfer.json`` holds.
     """
-    decided = [each["decision"]["verdict"] for each in tree["comparisons"]]
-    above, below, too_few = (decided.count(word) for word in ("holds", "holds not", "no decision"))
+    verdicts = [comparison["decision"]["verdict"] for comparison in tree["comparisons"]]
+    above, below, too_few = (verdicts.count(verdict) for verdict in ("holds", "holds not", "no decision"))
+    shares = sorted({score["share"] for score in tree["figures"]})
+    scores = {(score["row"], score["share"]): score for score in tree["figures"]}
     return render_template(
         "transfer.html",
         package="farfield.papers",
         tree=tree,
         metric=metric_words(tree["metric"]),
         headline=(
-            f"Of {len(decided)} comparisons the first row lies above the second in {above}, below it in {below}; in "
-            f"{decided.count('undecided')} the interval of the difference holds 0, so neither is shown"
+            f"Of {len(verdicts)} comparisons the first row lies above the second in {above}, below it in {below}; in "
+            f"{verdicts.count('undecided')} the interval of the difference holds 0, so neither is shown"
             + (f", and {too_few} have too few seeds or drives." if too_few else ".")
         ),
-        rows=[_row(row, tree) for row in tree["rows"]],
-        shares=[f"{100 * share:g} %" for share in _shares(tree)],
-        decisions=[_decision(each) for each in tree["comparisons"]],
+        rows=[{**row, "cells": [_cell(scores.get((row["name"], share))) for share in shares]} for row in tree["rows"]],
+        shares=[f"{100 * share:g} %" for share in shares],
+        decisions=[_decision(comparison) for comparison in tree["comparisons"]],
         pictures=_pictures(tree),
     )
 
 
-def _shares(tree: Mapping[str, Any]) -> list[float]:
-    return sorted({each["share"] for each in tree["figures"]})
-
-
-def _row(row: Mapping[str, Any], tree: Mapping[str, Any]) -> dict[str, Any]:
-    found = {each["share"]: each for each in tree["figures"] if each["row"] == row["name"]}
-    return {**row, "cells": [_cell(found.get(share)) for share in _shares(tree)]}
-
-
-def _cell(found: Mapping[str, Any] | None) -> dict[str, str]:
-    if found is None:
+def _cell(score: Mapping[str, Any] | None) -> dict[str, str]:
+    if score is None:
         return {"value": "", "interval": "", "seeds": "", "frames": ""}
     return {
-        "value": f"{found['mean']:.3f}",
-        "interval": _between(found["interval"]),
-        "seeds": f"({' '.join(f'{value:.3f}' for value in found['values'])})",
-        "frames": f"{found['frames']:,} frames",
+        "value": f"{score['mean']:.3f}",
+        "interval": _between(score["interval"]),
+        "seeds": f"({' '.join(f'{value:.3f}' for value in score['values'])})",
+        "frames": f"{score['frames']:,} frames",
     }
 
 
@@ -77,20 +70,20 @@ def _between(interval: Sequence[float] | None, *, signed: bool = False) -> str:
     return _NO_INTERVAL if interval is None else f"{form.format(interval[0])} to {form.format(interval[1])}"
 
 
-def _decision(each: Mapping[str, Any]) -> dict[str, Any]:
-    found = each["decision"]["difference"]
-    estimate, interval = found["estimate"], found["interval"]
+def _decision(comparison: Mapping[str, Any]) -> dict[str, Any]:
+    decision = comparison["decision"]
+    estimate, interval = decision["difference"]["estimate"], decision["difference"]["interval"]
     return {
-        "id": each["id"],
-        "words": each["words"],
-        "share": f"{100 * each['share']:g} %",
-        "frames": f"{each['frames']:,}",
+        "id": comparison["id"],
+        "words": comparison["words"],
+        "share": f"{100 * comparison['share']:g} %",
+        "frames": f"{comparison['frames']:,}",
         "difference": _NO_INTERVAL if estimate is None else f"{estimate:+.3f}",
         "interval": _between(interval, signed=True),
-        "seeds": found["n"],
-        "verdict": each["decision"]["words"],
-        "decided": each["decision"]["verdict"] in ("holds", "holds not"),
-        "adjusted": each["adjusted"],
+        "seeds": decision["difference"]["n"],
+        "verdict": decision["words"],
+        "decided": decision["verdict"] in ("holds", "holds not"),
+        "adjusted": comparison["adjusted"],
     }
 
 
@@ -126,11 +119,11 @@ def curves(tree: Mapping[str, Any]) -> "Figure":
             for number, row in enumerate(row for row in shown if row["world"] == world):
                 colour, line = PATTERNS[number % len(PATTERNS)], _LINES[number % len(_LINES)]
                 course = _course(tree, row["name"])
-                frames, means = [each["frames"] for each in course], [each["mean"] for each in course]
+                frames, means = ([score[key] for score in course] for key in ("frames", "mean"))
                 axes.plot(frames, means, line, marker="o", ms=3.5, lw=1.4, color=colour, label=row["words"])
-                for each in course:
-                    if each["interval"] is not None:
-                        axes.plot([each["frames"]] * 2, each["interval"], color=colour, lw=0.8, alpha=0.5)
+                for score in course:
+                    if score["interval"] is not None:
+                        axes.plot([score["frames"]] * 2, score["interval"], color=colour, lw=0.8, alpha=0.5)
             axes.set(xscale="log", xlabel="frames of the target", ylim=(0, None))
             axes.set_xticks(_counts(tree, [row["name"] for row in shown if row["world"] == world]))
             axes.xaxis.set_major_formatter("{x:.0f}")
@@ -147,25 +140,27 @@ def metric_words(name: str) -> str:
     Args:
         name: Its name in a protocol's result.
     """
-    what, *where = name.split("/")
-    if what != "ap" or len(where) != 3:
+    metric, *rest = name.split("/")
+    if metric != "ap" or len(rest) != 3:
         return name
+    label, view, overlap = rest
     views = {"bev": "bird's-eye view", "3d": "3D"}
-    return f"AP of {where[0].replace('_', ' ')}s, {views.get(where[1], where[1])}, overlap of {where[2]}"
+    return f"AP of {label.replace('_', ' ')}s, {views.get(view, view)}, overlap of {overlap}"
 
 
 def _counts(tree: Mapping[str, Any], rows: Sequence[str]) -> list[int]:
     """Numbers of frames that stand far enough apart to be labelled."""
-    kept = list[int]()
-    for count in sorted({_frames(each) for row in rows for each in _course(tree, row)}, reverse=True):
-        if not kept or count < 0.7 * kept[-1]:
-            kept.append(count)
-    return kept
+    labelled = list[int]()
+    for count in sorted({_frames(score) for row in rows for score in _course(tree, row)}, reverse=True):
+        if not labelled or count < 0.7 * labelled[-1]:
+            labelled.append(count)
+    return labelled
 
 
 def _course(tree: Mapping[str, Any], row: str) -> list[Mapping[str, Any]]:
-    return sorted((each for each in tree["figures"] if each["row"] == row), key=_frames)
+    """A row's scores by number of frames."""
+    return sorted((score for score in tree["figures"] if score["row"] == row), key=_frames)
 
 
-def _frames(each: Mapping[str, Any]) -> int:
-    return int(each["frames"])
+def _frames(score: Mapping[str, Any]) -> int:
+    return int(score["frames"])

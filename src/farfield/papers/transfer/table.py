@@ -1,42 +1,37 @@
-"""The declared table of transfer: worlds, rows, comparisons, and the runs that they come to."""
+"""The declared table of transfer: worlds, rows, comparisons, and the trainings that they come to."""
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.files.atomic import read_bytes
+from farfield.errors import ConfigError
+from farfield.experiments.schema import experiment_of
+from farfield.papers.claims.schema import DeclaredModel, read_declared
 from farfield.papers.grid import Score, SimulatedSet, Tree
+from farfield.papers.jobs import TrainingJob
 
 FILE = Path(__file__).parent / "kradar.yaml"
-_MAX_BYTES = 1 << 20
+CLOUD = "radar"
 _Share = Annotated[float, Field(gt=0, le=1)]
 
 
-class _TransferModel(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class World(_TransferModel):
-    """A radar on its roads: what is learnt from and scored on, and the form in which its clouds come."""
+class World(DeclaredModel):
+    """A radar on its roads: the sets to train and score on, and the form in which its clouds come."""
 
     words: str
     train: SimulatedSet
     val: SimulatedSet
-    of: str = Field("", description="the world whose data it sees in a form of its own, else its own data")
+    of: str = Field("", description="the world whose data it reads in a form of its own, else its own data")
     options: Tree = Field(default_factory=dict, description="options of the reader")
     floor_options: Tree = Field(default_factory=dict, description="the same where the floor is taken: all cells")
     form: Tree = Field(description="settings of common_radar; the floor is taken of the training set unless given")
 
 
-class AblationRow(_TransferModel):
+class AblationRow(DeclaredModel):
     """A row of the table: a training in a world for each share of its frames, once a seed."""
 
     words: str
@@ -45,12 +40,12 @@ class AblationRow(_TransferModel):
     shares: tuple[_Share, ...] | None = Field(None, description="all of the table's unless given")
     flip: float = Field(0.5, ge=0, le=1)
     drop_doppler: float = Field(0.0, ge=0, le=1)
-    reestimate_batches: int = Field(0, ge=0, description="take the batch statistics anew before the first step")
+    reestimate_batches: int = Field(0, ge=0, description="estimate the batch statistics anew before the first step")
     freeze: tuple[str, ...] = Field((), description="parts of the network that stay as they came")
     steps: int | None = Field(None, ge=0, description="all of the table's unless given; 0: scored as it came")
 
 
-class TransferComparison(_TransferModel):
+class TransferComparison(DeclaredModel):
     """Two rows, of which the first is claimed to lie above the second, at every share that both have."""
 
     id: str
@@ -59,7 +54,7 @@ class TransferComparison(_TransferModel):
     b: str
 
 
-class TransferTable(_TransferModel):
+class TransferTable(DeclaredModel):
     """The whole file."""
 
     words: str
@@ -77,7 +72,7 @@ class TransferTable(_TransferModel):
     comparisons: tuple[TransferComparison, ...]
 
     @model_validator(mode="after")
-    def _names_what_there_is(self) -> "TransferTable":
+    def _check_names(self) -> "TransferTable":
         for name, row in self.rows.items():
             source = self.rows.get(row.start)
             if row.world not in self.worlds:
@@ -90,10 +85,12 @@ class TransferTable(_TransferModel):
             other = self.worlds.get(world.of, world)
             if (world.of and world.of not in self.worlds) or (world.train, world.val) != (other.train, other.val):
                 raise ValueError(f"{name}: expected the data of another world, train and val alike; got {world.of!r}")
-        for each in self.comparisons:
-            unknown = [name for name in (each.a, each.b) if name not in self.rows]
+        for comparison in self.comparisons:
+            unknown = [name for name in (comparison.a, comparison.b) if name not in self.rows]
             if unknown:
-                raise ValueError(f"{each.id}: expected rows among {', '.join(self.rows)}; got {', '.join(unknown)}")
+                raise ValueError(
+                    f"{comparison.id}: expected rows among {', '.join(self.rows)}; got {', '.join(unknown)}"
+                )
         return self
 
     def shares_of(self, row: str) -> tuple[float, ...]:
@@ -101,16 +98,29 @@ class TransferTable(_TransferModel):
         return self.rows[row].shares or self.shares
 
     @property
+    def row_shares(self) -> list[tuple[str, float]]:
+        """All rows at all their shares: the runs of a seed."""
+        return [(row, share) for row in self.rows for share in self.shares_of(row)]
+
+    @property
     def every_share(self) -> tuple[float, ...]:
         """All shares that some row has, in order."""
         return tuple(sorted({share for row in self.rows for share in self.shares_of(row)}))
 
     def frames_of(self, row: str, share: float) -> int:
-        """Number of frames of its world that a row sees at a share of it, whole sequences."""
-        arm = self.rows[row]
-        train = self.worlds[arm.world].train
+        """Number of frames of its world that a row reads at a share of it, complete sequences."""
+        declared = self.rows[row]
+        train = self.worlds[declared.world].train
         frames = math.floor(share * train.sequences + 0.5) * train.frames
-        return frames if arm.steps != 0 else min(frames, arm.reestimate_batches * self.training["batch_size"])
+        return frames if declared.steps != 0 else min(frames, declared.reestimate_batches * self.training["batch_size"])
+
+    def row_words(self, row: str) -> str:
+        """A row and its world, in words."""
+        return f"{self.rows[row].words} ({self.worlds[self.rows[row].world].words})"
+
+    def set_name(self, world: str, part: str) -> str:
+        """Folder of a world's ``"train"`` or ``"val"`` set."""
+        return f"{self.worlds[world].of or world}-{part}"
 
     @property
     def digest(self) -> str:
@@ -118,63 +128,68 @@ class TransferTable(_TransferModel):
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
 
-@dataclass(frozen=True, kw_only=True)
-class TransferRun:
-    """One training.
-
-    Args:
-        row: The table's row.
-        share: Share of the world's sequences that it learns from.
-        seed: Its seed.
-    """
-
-    row: str
-    share: float
-    seed: int
-
-    @property
-    def folder(self) -> str:
-        """Name of its folder."""
-        return f"s{self.seed}-{self.row}-{round(100 * self.share):03d}"
-
-
-def runs_of(table: TransferTable, seeds: tuple[int, ...] | None = None) -> list[list[TransferRun]]:
-    """The runs in two waves, those that others start from and the rest, each seed by seed."""
-    chosen = range(table.seeds) if seeds is None else seeds
-    sources = {row.start for row in table.rows.values() if row.start}
-    every = [
-        TransferRun(row=name, share=share, seed=seed)
-        for seed in chosen
-        for name in table.rows
-        for share in table.shares_of(name)
-    ]
-    first = [run for run in every if run.row in sources and run.share == 1.0]
-    return [first, [run for run in every if run not in first]]
-
-
-def experiment_tree(table: TransferTable, run: TransferRun, *, data: Path, start: Path | None) -> dict[str, Any]:
-    """The experiment of a run as its YAML would have it; its frames are given to the training as they are seen.
+def transfer_jobs(
+    table: TransferTable, data: Path, runs: Path, seeds: tuple[int, ...] | None = None
+) -> list[TrainingJob]:
+    """The trainings of the table, seed by seed; a job's key is its share of its world's sequences, in percent.
 
     Args:
         table: The table.
-        run: The run.
-        data: Folder of the world's training set.
-        start: Weights to start from.
+        data: Folder of the worlds' sets.
+        runs: Folder of all jobs' folders.
+        seeds: Those of the table unless given.
     """
-    row, world = table.rows[run.row], table.worlds[table.rows[run.row].world]
-    training: dict[str, Any] = {**table.training, "seed": run.seed}
+    return [
+        _job(table, row, share, seed, data, runs)
+        for seed in (range(table.seeds) if seeds is None else seeds)
+        for row, share in table.row_shares
+    ]
+
+
+def _job(table: TransferTable, name: str, share: float, seed: int, data: Path, runs: Path) -> TrainingJob:
+    row = table.rows[name]
+    folder, start = f"s{seed}-{name}-{_percent(share)}", f"s{seed}-{row.start}-{_percent(1.0)}" if row.start else ""
+    training: Tree = {**table.training, "seed": seed}
     if row.steps is not None:
         training["steps"] = row.steps
-    if start is not None:
-        again = {"statistics": {"reestimate_batches": row.reestimate_batches}} if row.reestimate_batches else {}
-        training["start"] = {"weights": str(start), **again, **({"freeze": row.freeze} if row.freeze else {})}
-    return {
-        "name": run.folder,
-        "data": {"path": str(data), "clouds": ["radar"], "part": (0.0, run.share), "options": world.options},
+    if start:
+        training["start"] = {"weights": str(runs / start / "weights.safetensors")}
+        if row.reestimate_batches:
+            training["start"]["statistics"] = {"reestimate_batches": row.reestimate_batches}
+        if row.freeze:
+            training["start"]["freeze"] = row.freeze
+    tree = {
+        "name": folder,
+        "data": {
+            "path": str(data / table.set_name(row.world, "train")),
+            "clouds": [CLOUD],
+            "part": (0.0, share),
+            "options": table.worlds[row.world].options,
+        },
         "detector": table.network,
         "augmentation": {**table.augmentation, "flip_probability": row.flip},
         "training": training,
     }
+    return TrainingJob(
+        runs=(name,),
+        seed=seed,
+        experiment=experiment_of(tree, where=folder),
+        key=_percent(share),
+        clouds=(CLOUD,),
+        start=start,
+        network=table.worlds[row.world].of or row.world,
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{round(100 * share):03d}"
+
+
+def share_of(job: TrainingJob) -> float:
+    """Share of its world's sequences that a job learns from."""
+    data = job.experiment.data
+    assert not isinstance(data, dict), "a row learns from one set"
+    return data.part[1]
 
 
 def load_table(path: Path = FILE, changes: Mapping[str, Any] | None = None) -> TransferTable:
@@ -182,7 +197,7 @@ def load_table(path: Path = FILE, changes: Mapping[str, Any] | None = None) -> T
 
     Args:
         path: The file.
-        changes: What of it is replaced.
+        changes: Keys of the file that are replaced.
 
     Raises:
         ConfigError: If there is no such file.
@@ -190,8 +205,4 @@ def load_table(path: Path = FILE, changes: Mapping[str, Any] | None = None) -> T
     """
     if not path.is_file():
         raise ConfigError(f"transfer: expected a declared table, found no file {path}")
-    try:
-        tree = yaml.safe_load(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))
-        return TransferTable.model_validate(json.loads(json.dumps({**tree, **(changes or {})})))
-    except ValidationError as error:
-        raise FileFormatError(path, where="the file", expected="a declared table", found=plain(error)) from None
+    return read_declared(path, TransferTable, "a declared table", changes)[0]
