@@ -24,7 +24,6 @@ MOST = {
     "files": 1,
     "inspection": 2,
     "metrics": 35,
-    "papers": 222,
     "registry.py": 3,
     "studio": 1,
 }

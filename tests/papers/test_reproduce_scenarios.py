@@ -40,11 +40,17 @@ def test_switching_gains_over_both(tree: dict) -> None:
 def test_the_page_has_it_in_words(tree: dict) -> None:
     shown = scenario_tables(tree)
     assert shown is not None
-    assert shown.claim == "gaussian above uniform"
-    assert shown.choices == "highway gaussian (6 of 6), urban uniform (6 of 6)"
-    assert [row.what for row in shown.rows] == ["urban", "highway", "0-15 degrees", "15-30 degrees", "30-60 degrees"]
-    assert shown.rows[1].difference.startswith("+")
-    assert [row.verdict for row in shown.rule] == ["holds", "holds"]
+    assert shown["claim"] == "gaussian above uniform"
+    assert shown["choices"] == "highway gaussian (6 of 6), urban uniform (6 of 6)"
+    assert [row["what"] for row in shown["rows"]] == [
+        "urban",
+        "highway",
+        "0-15 degrees",
+        "15-30 degrees",
+        "30-60 degrees",
+    ]
+    assert shown["rows"][1]["difference"].startswith("+")
+    assert [row["verdict"] for row in shown["rule"]] == ["holds", "holds"]
 
 
 def test_nothing_is_said_without_both_patterns_or_of_other_protocols() -> None:

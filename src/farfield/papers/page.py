@@ -5,7 +5,6 @@ Of memory it shows the peak of the processes that trained and scored, as K-Radar
 
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,87 +25,8 @@ _RELATIONS = {"above": "above", "not_below": "not below", "equivalent": "as good
 _TONES = {"holds": "good", "holds by construction": "good", "holds not": "bad"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScoreCell:
-    """A figure of a table.
-
-    Args:
-        published: The paper's.
-        ours: Our mean over seeds.
-        spread: Its standard deviation over seeds.
-    """
-
-    published: str
-    ours: str
-    spread: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class TableLine:
-    """A row of a table.
-
-    Args:
-        name: What the run is, and the cloud that it was scored on; empty where it goes on in another metric.
-        metric: The metric.
-        printed: Whether the paper prints the row.
-        seeds: Number of seeds; None where it goes on.
-        cells: Figures in the order of the table's columns.
-    """
-
-    name: str
-    metric: str
-    printed: bool
-    seeds: int | None
-    cells: tuple[ScoreCell, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PaperTable:
-    """A table of the paper again.
-
-    Args:
-        title: Its title.
-        columns: Heads of its columns: ranges or weathers.
-        lines: Its rows, controls last.
-        lacking: Rows that the page has no figure of ours for, and why.
-    """
-
-    title: str
-    columns: tuple[str, ...]
-    lines: tuple[TableLine, ...]
-    lacking: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class ComparisonView:
-    """A difference between two rows, as the page shows it; texts of figures, empty where there are none."""
-
-    what: str
-    control: bool
-    metric: str
-    published: str
-    difference: str
-    interval: str
-    seeds: str
-    spread: str
-    verdict: str
-    adjusted: str
-    power: str
-    excludes: str
-    tone: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClaimView:
-    """A claim with its comparisons."""
-
-    id: str
-    words: str
-    table: str
-    verdict: str
-    note: str
-    tone: str
-    comparisons: tuple[ComparisonView, ...] = field(default=())
+View = dict[str, Any]
+"""Texts that the template shows, by name."""
 
 
 def write_page(
@@ -155,9 +75,10 @@ def write_page(
     return path
 
 
-def _headline(claims: Sequence[ClaimView], summary: Mapping[str, Any]) -> str:
-    holding = sum(claim.verdict in ("holds", "holds by construction") for claim in claims)
-    undecided, refuted = (sum(claim.verdict == word for claim in claims) for word in ("undecided", "holds not"))
+def _headline(claims: Sequence[View], summary: Mapping[str, Any]) -> str:
+    verdicts = [claim["verdict"] for claim in claims]
+    holding = verdicts.count("holds") + verdicts.count("holds by construction")
+    undecided, refuted = verdicts.count("undecided"), verdicts.count("holds not")
     rest = len(claims) - holding - undecided - refuted
     runs = summary["runs"]
     return (
@@ -166,40 +87,34 @@ def _headline(claims: Sequence[ClaimView], summary: Mapping[str, Any]) -> str:
     )
 
 
-def _claim(claim: Mapping[str, Any]) -> ClaimView:
-    return ClaimView(
-        id=claim["id"],
-        words=claim["words"],
-        table=claim["table"],
-        verdict=claim["verdict"],
-        note=claim["note"],
-        tone=_TONES.get(claim["verdict"], ""),
-        comparisons=tuple(_comparison(comparison, claim["metrics"]) for comparison in claim["decided"]),
-    )
+def _claim(claim: Mapping[str, Any]) -> View:
+    comparisons = [_comparison(comparison, claim["metrics"]) for comparison in claim["decided"]]
+    return {**claim, "tone": _TONES.get(claim["verdict"], ""), "comparisons": comparisons}
 
 
-def _comparison(comparison: Mapping[str, Any], metrics: Mapping[str, str]) -> ComparisonView:
+def _comparison(comparison: Mapping[str, Any], metrics: Mapping[str, str]) -> View:
+    """A difference between two rows with its decision, as texts; empty where there is none."""
     decision, adjusted = comparison["decision"], comparison["adjusted"]
     difference = decision["difference"] if decision else {}
     interval, spreads = difference.get("interval"), difference.get("s_seed") or {}
     margin = f" (margin {comparison['margin']:g})" if comparison["margin"] else ""
     own = spreads.get("own")
     relation = _RELATIONS[comparison["kind"]]
-    return ComparisonView(
-        what=f"{_row_words(comparison['a'])} {relation} {_row_words(comparison['b'])}{margin}",
-        control=comparison["role"] == "control",
-        metric=metrics[comparison["metric"]],
-        published=_signed(comparison["published"]),
-        difference=_signed(difference.get("estimate")),
-        interval=f"{_signed(interval[0])} to {_signed(interval[1])}" if interval else "",
-        seeds=str(difference["n"]) if difference.get("trained") else "",
-        spread=NOTHING if own is None else f"{own:.3f}",
-        verdict=decision["words"] if decision else "not run",
-        adjusted=adjusted["verdict"] if adjusted else "",
-        power=NOTHING if comparison["power"] is None else f"{comparison['power']:.0%}",
-        excludes=comparison["excludes"],
-        tone=_TONES.get(decision["verdict"], "") if decision else "",
-    )
+    return {
+        "what": f"{_row_words(comparison['a'])} {relation} {_row_words(comparison['b'])}{margin}",
+        "control": comparison["role"] == "control",
+        "metric": metrics[comparison["metric"]],
+        "published": _signed(comparison["published"]),
+        "difference": _signed(difference.get("estimate")),
+        "interval": f"{_signed(interval[0])} to {_signed(interval[1])}" if interval else "",
+        "seeds": str(difference["n"]) if difference.get("trained") else "",
+        "spread": NOTHING if own is None else f"{own:.3f}",
+        "verdict": decision["words"] if decision else "not run",
+        "adjusted": adjusted["verdict"] if adjusted else "",
+        "power": NOTHING if comparison["power"] is None else f"{comparison['power']:.0%}",
+        "excludes": comparison["excludes"],
+        "tone": _TONES.get(decision["verdict"], "") if decision else "",
+    }
 
 
 def _row_words(row: Mapping[str, Any]) -> str:
@@ -216,7 +131,8 @@ def _signed(value: float | None) -> str:
     return NOTHING if value is None else f"{value:+.3f}"
 
 
-def _table(tree: Mapping[str, Any], summary: Mapping[str, Any], timing: Mapping[str, Any]) -> PaperTable:
+def _table(tree: Mapping[str, Any], summary: Mapping[str, Any], timing: Mapping[str, Any]) -> View:
+    """A table of the paper again: columns, lines (a row and a metric each), and rows without a figure of ours."""
     table = with_memory(tree, timing)
     metrics, rows, left_out = table["metrics"], table["rows"], summary.get("left_out", {})
     parts = [part for part in table["parts"] if any(_has(row, part, metric) for row in rows for metric in metrics)]
@@ -224,21 +140,24 @@ def _table(tree: Mapping[str, Any], summary: Mapping[str, Any], timing: Mapping[
     for part in parts:
         name = "all" if part == "overall" else part.removeprefix("weather/").replace("_", " ")
         columns.append(f"{name} (ours {table['bins'][part]} m)" if part in table["bins"] else name)
-    return PaperTable(
-        title=f"Table {table['number']}: {table['title']}",
-        columns=tuple(columns),
-        lines=tuple(
-            _line(row, parts, metric, words, first=index == 0)
-            for row in rows
-            if row["n"] or row["published"]
-            for index, (metric, words) in enumerate(_shown_metrics(row, parts, metrics))
-        ),
-        lacking=tuple(
-            f"{_row_name(row)} ({'not run at this budget' if row['run'] in left_out else 'no finished run yet'})"
-            for row in rows
-            if not row["n"]
-        ),
-    )
+    lines, lacking = [], []
+    for row in rows:
+        name = f"{row['words']}, on {row['cloud']}"
+        if not row["n"]:
+            reason = "not run at this budget" if row["run"] in left_out else "no finished run yet"
+            lacking.append(f"{name} ({reason})")
+        if row["n"] or row["published"]:
+            for index, (metric, words) in enumerate(_shown_metrics(row, parts, metrics)):
+                line = {
+                    "name": "" if index else name,  # empty where the row goes on in another metric
+                    "metric": words,
+                    "printed": bool(row["published"]),
+                    "seeds": None if index else row["n"],
+                    "cells": [_cell(row["cells"].get(part, {}).get(metric), metric) for part in parts],
+                }
+                lines.append(line)
+    title = f"Table {table['number']}: {table['title']}"
+    return {"title": title, "columns": columns, "lines": lines, "lacking": lacking}
 
 
 def _shown_metrics(row: Mapping[str, Any], parts: Sequence[str], metrics: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -255,29 +174,16 @@ def _has(row: Mapping[str, Any], part: str, metric: str) -> bool:
     return cell is not None and (cell["published"] is not None or cell["mean"] is not None)
 
 
-def _row_name(row: Mapping[str, Any]) -> str:
-    return f"{row['words']}, on {row['cloud']}"
-
-
-def _line(row: Mapping[str, Any], parts: Sequence[str], metric: str, words: str, *, first: bool) -> TableLine:
-    return TableLine(
-        name=_row_name(row) if first else "",
-        metric=words,
-        printed=bool(row["published"]),
-        seeds=row["n"] if first else None,
-        cells=tuple(_cell(row["cells"].get(part, {}).get(metric), metric) for part in parts),
-    )
-
-
-def _cell(cell: Mapping[str, Any] | None, metric: str) -> ScoreCell:
+def _cell(cell: Mapping[str, Any] | None, metric: str) -> View:
+    """The paper's figure, our mean over seeds and its standard deviation, as texts."""
     if cell is None:
-        return ScoreCell(published=NOTHING, ours=NOTHING, spread="")
+        return {"published": NOTHING, "ours": NOTHING, "spread": ""}
     in_mb = metric == MEMORY
-    return ScoreCell(
-        published=_figure(cell["published"], in_mb=in_mb),
-        ours="nothing found" if cell["mean"] == 0 else _figure(cell["mean"], in_mb=in_mb),
-        spread=f"s {_figure(cell['s'], in_mb=in_mb)}" if cell["s"] else "",
-    )
+    return {
+        "published": _figure(cell["published"], in_mb=in_mb),
+        "ours": "nothing found" if cell["mean"] == 0 else _figure(cell["mean"], in_mb=in_mb),
+        "spread": f"s {_figure(cell['s'], in_mb=in_mb)}" if cell["s"] else "",
+    }
 
 
 def _figure(value: float | None, *, in_mb: bool) -> str:

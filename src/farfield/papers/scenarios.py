@@ -5,7 +5,6 @@ Cirrus, section I: the patterns are for different scenarios. Each is scored by t
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 from farfield.errors import ConfigError
@@ -117,41 +116,17 @@ def _mean_dds(seeds: Sequence[Detections], settings: Tree) -> tuple[float | None
 NOTHING = "–"
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScenarioRow:
-    """A road or direction, or a fixed choice that the rule is compared with; texts, empty where there is nothing."""
-
-    what: str
-    difference: str
-    interval: str
-    verdict: str
-    annotated: str = ""
-    means: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scenarios:
-    """Both tables.
+def scenario_tables(tree: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The tables of the page as texts; None where there is nothing.
 
     Args:
-        names: The patterns.
-        claim: What is claimed of the differences.
-        rows: Roads and directions.
-        choices: Which pattern the rule chose on which road, and how often.
-        mean: The rule's figure.
-        rule: The rule against each fixed choice.
+        tree: What ``reproduction.json`` holds under ``scenarios``.
+
+    Returns:
+        ``names``: the patterns. ``claim``: what is claimed of the differences. ``rows``: roads and directions.
+        ``choices``: which pattern the rule chose on which road, and how often. ``mean``: the rule's figure. ``rule``:
+        the rule against each fixed choice.
     """
-
-    names: tuple[str, ...]
-    claim: str
-    rows: tuple[ScenarioRow, ...]
-    choices: str = ""
-    mean: str = ""
-    rule: tuple[ScenarioRow, ...] = ()
-
-
-def scenario_tables(tree: Mapping[str, Any]) -> Scenarios | None:
-    """The tables of what ``reproduction.json`` holds under ``scenarios``; None where it holds nothing."""
     if not tree.get("parts"):
         return None
     names = tuple(tree["parts"][0]["means"])
@@ -160,35 +135,33 @@ def scenario_tables(tree: Mapping[str, Any]) -> Scenarios | None:
     for part in tree["parts"]:
         value = str(part["value"]).replace("_", " ")
         row = _scenario_row(value if part["kind"] in CONDITIONS else f"{value} degrees", part["decision"])
-        means = tuple(_figure(part["means"][name]) for name in names)
-        rows.append(replace(row, annotated=f"{part['annotated']:,}", means=means))
+        means = [_figure(part["means"][name]) for name in names]
+        rows.append({**row, "annotated": f"{part['annotated']:,}", "means": means})
     choices = switching.get("choices", ())
     counts = Counter((road, pattern) for choice in choices for road, pattern in choice.items())
-    return Scenarios(
-        names=names,
-        claim=f"{names[0]} above {names[1]}",
-        rows=tuple(rows),
-        choices=", ".join(
-            sorted(
-                f"{road.replace('_', ' ')} {pattern} ({count} of {len(choices)})"
-                for (road, pattern), count in counts.items()
-            )
-        ),
-        mean=_figure(switching.get("mean")),
-        rule=tuple(_scenario_row(name, decision) for name, decision in switching.get("gains", {}).items()),
-    )
+    by_road = [
+        f"{road.replace('_', ' ')} {pattern} ({count} of {len(choices)})" for (road, pattern), count in counts.items()
+    ]
+    return {
+        "names": names,
+        "claim": f"{names[0]} above {names[1]}",
+        "rows": rows,
+        "choices": ", ".join(sorted(by_road)),
+        "mean": _figure(switching.get("mean")),
+        "rule": [_scenario_row(name, decision) for name, decision in switching.get("gains", {}).items()],
+    }
 
 
-def _scenario_row(name: str, decision: Mapping[str, Any] | None) -> ScenarioRow:
+def _scenario_row(name: str, decision: Mapping[str, Any] | None) -> dict[str, Any]:
     if decision is None:
-        return ScenarioRow(what=name, difference=NOTHING, interval="", verdict="nothing annotated")
+        return {"what": name, "difference": NOTHING, "interval": "", "verdict": "nothing annotated"}
     estimate, interval = (decision["difference"].get(key) for key in ("estimate", "interval"))
-    return ScenarioRow(
-        what=name,
-        difference=NOTHING if estimate is None else f"{estimate:+.3f}",
-        interval=f"{interval[0]:+.3f} to {interval[1]:+.3f}" if interval else "",
-        verdict=decision["words"],
-    )
+    return {
+        "what": name,
+        "difference": NOTHING if estimate is None else f"{estimate:+.3f}",
+        "interval": f"{interval[0]:+.3f} to {interval[1]:+.3f}" if interval else "",
+        "verdict": decision["words"],
+    }
 
 
 def _figure(value: float | None) -> str:

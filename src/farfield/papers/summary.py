@@ -8,7 +8,7 @@ import statistics
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from farfield.frame.provenance import environment
 from farfield.metrics.result import at, value_at
@@ -141,15 +141,8 @@ def curves_of(scores: Scores, score: Score) -> dict[str, Tree]:
 # The paper's tables
 
 
-@dataclass(frozen=True)
-class PaperTableRow:
-    """A row of a table: a run on a cloud.
-
-    Args:
-        run: The run.
-        cloud: The cloud that it is scored on.
-        published: The paper's row; empty for one that the paper does not print.
-    """
+class PaperTableRow(NamedTuple):
+    """A row of a table: a run on a cloud, and the paper's row; empty for one that the paper does not print."""
 
     run: str
     cloud: str

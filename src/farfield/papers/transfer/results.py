@@ -1,7 +1,7 @@
 """The table of transfer from what its runs scored: means by row and share, and a decision on every comparison."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -75,14 +75,7 @@ class ShareScore:
 
     def to_json(self) -> dict[str, Any]:
         """Everything as JSON values."""
-        return {
-            "row": self.row,
-            "share": self.share,
-            "frames": self.frames,
-            "values": list(self.values),
-            "mean": self.mean,
-            "interval": None if self.interval is None else list(self.interval),
-        }
+        return asdict(self)
 
 
 def by_row(scores: Iterable[Mapping[str, Any]]) -> dict[tuple[str, float], dict[int, ScoreSample]]:
