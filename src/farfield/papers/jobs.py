@@ -221,10 +221,10 @@ def _digest(tree: list[Any]) -> str:
 
 @cache
 def code_digest(rooms: tuple[str, ...] = _SCORING_ROOMS) -> str:
-    """Hash of the source of some rooms and of the plan of a run; by default of those that detect and score."""
+    """Hash of the source of some rooms, by default those that detect and score, and of what runs an experiment."""
     digest = hashlib.sha256()
     assert all((_SOURCE / room).is_dir() for room in rooms), "a room was renamed"
     files = sorted(path for room in rooms for path in (_SOURCE / room).rglob("*.py"))
-    for path in [*files, _SOURCE / "experiments" / "plan.py"]:
+    for path in [*files, *(_SOURCE / "experiments" / name for name in ("frames.py", "plan.py"))]:
         digest.update(path.relative_to(_SOURCE).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
