@@ -188,7 +188,8 @@ class TransferExperiment:
     def scores(self) -> list[Tree]:
         """The scores of all finished runs of the table, with what they took; those that diverged are left out."""
         trees = []
-        for job in transfer_jobs(self.table, self.out / "data", self.runs_folder):
+        jobs = transfer_jobs(self.table, self.out / "data", self.runs_folder)
+        for job in (job for wave in waves(jobs) for job in wave):
             if (self.runs_folder / job.folder / SCORES).is_file():
                 scores = scores_of(job, self.runs_folder)
                 if "clock" not in scores:  # older runs hold it
