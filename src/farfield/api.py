@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import DatasetError
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from jaxtyping import Shaped
 
     from farfield.calibration.boards import BoardCalibration
-    from farfield.calibration.jobs import CameraJob, RadarJob
+    from farfield.calibration.jobs import CameraJob, PairsJob, RadarJob
     from farfield.calibration.lidar_lidar import Registration
+    from farfield.calibration.solving import CalibrationKind
     from farfield.datasets.base import Dataset
     from farfield.detectors.info import DescribedDetector, DetectorFunction
     from farfield.detectors.network import Network
@@ -258,46 +259,25 @@ def simulate(preset: str, out: Path | str, **options: Any) -> "RecordingSummary 
         from farfield.simulation.recording.raw import record_streams
 
         sweeps = options.pop("frames", None)
-        return record_streams(preset, out, **{"sweeps": sweeps} | options)
+        return record_streams(preset, out, sweeps=sweeps, **options)
     from farfield.simulation.recording import record
 
     return record(preset, out, **options)
 
 
 def calibrate(
-    kind: Literal["radar-lidar", "lidar-camera", "lidar-lidar", "board"],
-    data: "Path | str | Dataset",
-    *,
-    sequence: str | None = None,
-    frames: int = 40,
-    camera: str | None = None,
-    lidars: tuple[str, str] = ("os2-64", "os1-128"),
-    x: float | None = None,
-    y: float | None = None,
-    yaw: float | None = None,
-    frame_offset: int = 0,
-    corners: tuple[int, int] = (9, 6),
-    square: float = 0.03,
-    charuco: bool = False,
-) -> "RadarJob | CameraJob | Registration | BoardCalibration":
+    kind: "CalibrationKind", data: "Path | str | Dataset", **options: Any
+) -> "RadarJob | CameraJob | PairsJob | Registration | BoardCalibration":
     """Solve where a sensor stands against the LiDAR, or a camera's intrinsics: what ``farfield calibrate`` does.
 
-    Nothing is written. A camera without any calibration to begin with needs the verb, which takes picked pairs.
+    Nothing is written.
 
     Args:
-        kind: What against what; ``"board"``: intrinsics from pictures of a board.
+        kind: What against what, ``"radar-lidar"``, ``"lidar-camera"`` or ``"lidar-lidar"``; ``"board"``: intrinsics
+            from pictures of a board.
         data: A data set, or its folder; for ``"board"`` the folder of pictures.
-        sequence: Which one; the first unless given.
-        frames: How many frames to use, spread over the sequence; for the radar in runs of ten.
-        camera: Name of the image; the first with a calibration unless given.
-        lidars: The clouds to register, the reference first.
-        x: Start of the radar's x in metres, as K-Radar's file has it; the data set's own unless given.
-        y: Start of its y.
-        yaw: Start of its yaw in degrees; the data set's own unless given.
-        frame_offset: Start of the radar frames to add to those that are paired.
-        corners: Inner corners of the board in a row and in a column.
-        square: Side of its squares in metres.
-        charuco: It is a ChArUco board: markers in its white squares.
+        **options: Fields of :class:`farfield.calibration.solving.CalibrationOptions`, such as ``frames``, ``camera``,
+            ``lidars``, ``pairs``, ``x``, ``yaw``, ``corners``.
 
     Returns:
         What was solved, with residuals and what the data cannot tell; ``to_json()`` gives everything.
@@ -305,37 +285,14 @@ def calibrate(
     Raises:
         ConfigError: If a choice is not possible, or the data set has no such sensor.
         DatasetError: If there is no such sequence, or no frame has both sensors.
+        TypeError: If there is no such option.
     """
-    from dataclasses import replace
-    from math import radians
+    from farfield.calibration.solving import CalibrationOptions, solve
 
-    from farfield.calibration import jobs
-
-    if frames < 1:
-        raise ConfigError(f"frames: expected one or more, got {frames}")
-    if kind == "board":
-        from farfield.calibration.boards import Board
-        from farfield.calibration.jobs import board_job
-
-        if not isinstance(data, Path | str):
-            raise ConfigError("calibrate board: expected a folder of pictures, got a data set")
-        return board_job(Path(data), Board(columns=corners[0], rows=corners[1], square_m=square, markers=charuco))
-    opened = open_dataset(data) if isinstance(data, Path | str) else data
-    indices = jobs.choose_frames(opened, sequence, frames, runs=kind == "radar-lidar")
-    if kind == "radar-lidar":
-        yaw_rad = None if yaw is None else radians(yaw)
-        guess = jobs.radar_start(opened, indices[0], x_m=x, y_m=y, yaw_rad=yaw_rad)
-        return jobs.radar_job(opened, indices, replace(guess, frames=frame_offset))
-    if kind == "lidar-lidar":
-        return jobs.lidars_job(opened, indices, *lidars)
-    if kind != "lidar-camera":
-        raise ConfigError(f"kind: expected radar-lidar, lidar-camera, lidar-lidar or board, got {kind!r}")
-    first = opened[indices[0]]
-    names = [name for name in first.images if name in first.cameras]
-    name = camera or next(iter(names), "")
-    if name not in names:
-        raise ConfigError(f"camera: expected one of {', '.join(names) or 'no camera at all'}; got {camera}")
-    return jobs.camera_job(opened, indices, camera=name)
+    chosen = CalibrationOptions(**options)
+    if isinstance(data, Path | str):
+        data = Path(data) if kind == "board" else open_dataset(data)
+    return solve(kind, data, chosen)
 
 
 def adapt(

@@ -7,6 +7,7 @@ with pairs taken anew in each round. :func:`register` is the algorithm.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 from functools import partial
 
 import numpy as np
@@ -51,6 +52,17 @@ class Registration:
     solution: Solution
     rms_m: float
     pairs: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Pose, sigma, residual and what is not observed."""
+        return {
+            "kind": "lidar-lidar",
+            "target_T_source": self.target_T_source.tolist(),
+            "rms_cm": 100 * self.rms_m,
+            "pairs": self.pairs,
+            "notes": list(self.solution.unobserved),
+            **self.solution.to_json(),
+        }
 
 
 def register(

@@ -1,39 +1,41 @@
 """``farfield calibrate``: where a sensor stands against the LiDAR, and a camera's intrinsics, with residuals."""
 
 import json
-import math
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any
 
+import tyro
 from tyro.conf import Positional
 
+from farfield.calibration.boards import Board
+from farfield.calibration.jobs import CameraJob, PairsJob, RadarJob, choose_frames
+from farfield.calibration.lidar_lidar import Registration
+from farfield.calibration.saving import (
+    save_camera,
+    save_camera_where_read,
+    save_lidars_where_read,
+    save_radar,
+    save_radar_where_read,
+)
+from farfield.calibration.solving import CalibrationKind, CalibrationOptions, pictured_camera, solve
 from farfield.cli._flags import AS_THEY_ARE, Reading
+from farfield.errors import ConfigError
+from farfield.figures.camera import boxes_picture
+from farfield.figures.rig import camera_calibration_picture, radar_calibration_picture
+from farfield.files.atomic import write_text
+from farfield.files.images import write_image
+from farfield.studio.options import CalibrationSettings, DatasetOpener, StudioSettings
+
+DEFAULTS = CalibrationOptions()
 
 
 def run(
-    kind: Positional[Literal["radar-lidar", "lidar-camera", "lidar-lidar", "board"]],
+    kind: Positional[CalibrationKind],
     path: Positional[Path],
     /,
     *,
-    sequence: str | None = None,
-    frames: int = 40,
-    camera: str | None = None,
-    lidars: tuple[str, str] = ("os2-64", "os1-128"),
-    pairs: Path | None = None,
-    focal: bool = False,
-    guess_focal: float | None = None,
-    intrinsics: Path | None = None,
-    position: tuple[float, float, float] | None = None,
-    facing: float = 0.0,
-    car: Path | None = None,
-    x: float | None = None,
-    y: float | None = None,
-    yaw: float | None = None,
-    frame_offset: int = 0,
-    corners: tuple[int, int] = (9, 6),
-    square: float = 0.03,
-    charuco: bool = False,
+    options: Annotated[CalibrationOptions, tyro.conf.arg(name="")] = DEFAULTS,
     draw: Path | None = None,
     reading: Reading = AS_THEY_ARE,
     save: Path | None = None,
@@ -62,24 +64,7 @@ def run(
     Args:
         kind: What against what.
         path: Folder of a data set, or of pictures of a board.
-        sequence: Which one; the first unless given.
-        frames: How many frames to use, spread over the sequence; for the radar in runs of ten.
-        camera: Name of the image; the first with a calibration unless given.
-        lidars: The clouds to register, the reference first.
-        pairs: CSV of picked pairs (x_m,y_m,z_m,u_px,v_px): the camera begins from them.
-        focal: With --pairs, solve for the focal length too (twelve pairs).
-        guess_focal: Focal length in pixels to begin with, for a camera without calibration; solved for.
-        intrinsics: What board wrote: its focal length and distortion are kept.
-        position: Where the lens stands in the LiDAR's coordinates: x forward, y left, z up, metres.
-        facing: Where it looks, degrees counter-clockwise from ahead.
-        car: CSV of points clicked in a scanned model of the car (name,x,y,z), instead of --position and --facing.
-        x: Start of the radar's x, as K-Radar's file has it; the data set's own unless given.
-        y: Start of its y.
-        yaw: Start of its yaw in degrees; the data set's own unless given.
-        frame_offset: Start of the radar frames to add to those that are paired.
-        corners: Inner corners of the board in a row and in a column.
-        square: Side of its squares in metres.
-        charuco: It is a ChArUco board: markers in its white squares.
+        options: How it is calibrated.
         draw: Write the board as a picture to print, and stop.
         reading: How the files are read.
         save: File to write the result into: calib_radar_lidar.txt, cam_N.yml, KITTI's calibration, or JSON; or the data
@@ -89,64 +74,52 @@ def run(
         port: Port of the page; the first free one from 8877 on unless given.
         browser: Open the browser; never over SSH.
     """
-    from farfield.calibration.initial_guess import InitialGuess
-    from farfield.calibration.jobs import choose_frames
-    from farfield.errors import ConfigError
-
-    if frames < 1:
-        raise ConfigError(f"--frames: expected one or more, got {frames}")
-    board = (corners, square, charuco)
     if draw is not None:
-        return _draw(board, draw)
+        return _draw(options.board, draw)
     folder = out or Path("runs") / f"calibrate-{path.resolve().name}"
-    result: dict[str, Any]
     if page and (save is not None or kind in ("lidar-lidar", "board")):
         raise ConfigError("--page: expected radar-lidar or lidar-camera, without --save: the page saves")
-    if kind == "board":
-        result = _board(path, board, camera, save)
-        return _write(folder, result)
-    beginning = InitialGuess(
-        focal_px=guess_focal, intrinsics=intrinsics, position_m=position, facing_deg=facing, car=car
-    )
     if page:
-        from farfield.studio.options import CalibrationSettings
-
-        assert kind in ("radar-lidar", "lidar-camera")
-        settings = CalibrationSettings(
-            kind=kind,
-            sequence=sequence,
-            frames=frames,
-            camera=camera,
-            radar=(x, y, None if yaw is None else math.radians(yaw), frame_offset),
-            beginning=beginning,
-            pairs=pairs,
-            folder=folder,
-        )
-        return _page(path, reading.options, settings, port=port, browser=browser)
+        return _page(kind, DatasetOpener(path, **reading.options), options, folder, port=port, browser=browser)
+    if kind == "board":
+        solution: Any = solve(kind, path, options)
+        if save is not None:
+            name = options.camera or "camera"
+            _print_written(save_camera(save, name, solution.camera, solution.camera))
+        return _write(folder, solution.to_json())
     data = reading.open(path)
-    indices = choose_frames(data, sequence, frames, runs=kind == "radar-lidar")
+    solution = solve(kind, data, options)
     folder.mkdir(parents=True, exist_ok=True)
     if kind == "radar-lidar":
-        result = _radar(data, indices, (x, y, yaw, frame_offset), save, folder)
+        _draw_radar(folder, solution)
     elif kind == "lidar-camera":
-        result = _camera(data, indices, camera, (pairs, focal), beginning, save, folder)
-    else:
-        result = _lidars(data, indices, lidars, save)
-    return _write(folder, result)
+        _draw_camera(folder, solution)
+    if save is not None:
+        indices = choose_frames(data, options.sequence, options.frames, runs=kind == "radar-lidar")
+        _SAVERS[kind](save, data, indices, options, solution)
+    return _write(folder, solution.to_json())
 
 
-def _page(path: Path, reading: dict[str, Any], calibration: Any, *, port: int | None, browser: bool) -> int:
-    from farfield.studio.options import DatasetOpener, StudioSettings
+def _page(
+    kind: str, opening: DatasetOpener, options: CalibrationOptions, folder: Path, *, port: int | None, browser: bool
+) -> int:
     from farfield.studio.serving.run import serve
 
-    opening = DatasetOpener(path, **reading)
+    calibration = CalibrationSettings(
+        kind="radar-lidar" if kind == "radar-lidar" else "lidar-camera",
+        sequence=options.sequence,
+        frames=options.frames,
+        camera=options.camera,
+        radar=(options.x, options.y, options.yaw_rad, options.frame_offset),
+        beginning=options.initial_guess,
+        pairs=options.pairs,
+        folder=folder,
+    )
     settings = StudioSettings(mode="calibrate", title=opening.title, calibration=calibration)
     return serve(opening, settings, port=port, browser=browser)
 
 
 def _write(folder: Path, result: dict[str, Any]) -> int:
-    from farfield.files.atomic import write_text
-
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "calibration.json", json.dumps(result, indent=1) + "\n")
     shown = ("matrix", "distortion", "covered", "parameters", "change", "notes")
@@ -155,132 +128,71 @@ def _write(folder: Path, result: dict[str, Any]) -> int:
     return 0
 
 
-def _radar(data: Any, indices: list[int], start: tuple[Any, ...], save: Path | None, folder: Path) -> dict[str, Any]:
-    from farfield.calibration.jobs import radar_job, radar_start
-    from farfield.calibration.saving import save_radar, save_radar_where_read
-    from farfield.figures.rig import radar_calibration_picture
-    from farfield.files.images import write_image
-
-    x, y, yaw, offset = start
-    turn = None if yaw is None else math.radians(yaw)
-    guess = replace(radar_start(data, indices[0], x_m=x, y_m=y, yaw_rad=turn), frames=offset)
-    job = radar_job(data, indices, guess)
-    write_image(
-        folder / "before-after.png", radar_calibration_picture(*map(job.from_above, (job.before, job.calibration.pose)))
-    )
-    if save is not None:
-        if save.is_dir():
-            _wrote(save_radar_where_read(data, indices[0], job.calibration))
-        else:
-            difference = data.frame_difference(data.sequences[indices[0]])
-            _wrote(save_radar(save, job.calibration, difference=difference))
-    return job.to_json()
+def _draw_radar(folder: Path, job: RadarJob) -> None:
+    before_after = map(job.from_above, (job.before, job.calibration.pose))
+    write_image(folder / "before-after.png", radar_calibration_picture(*before_after))
 
 
-def _camera(
-    data: Any,
-    indices: list[int],
-    name: str | None,
-    picks: tuple[Path | None, bool],
-    beginning: Any,
-    save: Path | None,
-    folder: Path,
-) -> dict[str, Any]:
-    from farfield.calibration.camera_pairs import calibrate_pairs, read_pairs
-    from farfield.calibration.jobs import camera_job, pairs_job
-    from farfield.errors import ConfigError
-    from farfield.figures.camera import boxes_picture
-    from farfield.figures.rig import camera_calibration_picture
-    from farfield.files.images import write_image
-
-    index, chosen = _pictured(data, indices, name, uncalibrated=not beginning.empty)
-    first = data[index]
-    known = first.cameras.get(chosen)
-    start = known if beginning.empty else beginning.camera(chosen, first.images[chosen].shape, known)
-    if known is None and picks[0] is None and not (beginning.intrinsics and (beginning.car or beginning.position_m)):
-        raise ConfigError(f"{chosen} has no calibration: give --pairs, or --intrinsics with --car or --position")
-    if picks[0] is not None and beginning.focal_px is not None:  # nothing but pairs
-        alone = pairs_job(data, index, chosen, read_pairs(picks[0]), start, focal=True)
-        found = alone.calibration.camera
-        write_image(folder / "boxes.png", boxes_picture(alone.picture, found, alone.boxes, alone.points_m))
-        _save_camera(data, index, chosen, known, found, save)
-        return alone.to_json()
-    if picks[0] is not None:
-        start = calibrate_pairs(*read_pairs(picks[0]), start, focal=picks[1]).camera
-    job = camera_job(data, indices, camera=chosen, start=start if start is not known else None)
+def _draw_camera(folder: Path, job: CameraJob | PairsJob) -> None:
+    if isinstance(job, PairsJob):
+        picture = boxes_picture(job.picture, job.calibration.camera, job.boxes, job.points_m)
+        write_image(folder / "boxes.png", picture)
+        return
     edges_m = job.views.points_m[job.views.frame == 0]
     write_image(folder / "before-after.png", camera_calibration_picture(job.picture, edges_m, job.before, job.after))
-    _save_camera(data, index, chosen, known, job.after, save)
-    return job.to_json()
 
 
-def _pictured(data: Any, indices: list[int], name: str | None, *, uncalibrated: bool) -> tuple[int, str]:
-    """The first frame with the picture, and the picture's name."""
-    from farfield.errors import ConfigError
-
-    known: list[str] = []
-    for index in indices:
-        frame = data[index]
-        known += [each for each in frame.images if uncalibrated or each in frame.cameras]
-        if known and name in (None, *known):
-            return index, name or known[0]
-    raise ConfigError(f"--camera: expected one of {', '.join(dict.fromkeys(known)) or 'no camera at all'}; got {name}")
+def _save_radar(save: Path, data: Any, indices: list[int], options: CalibrationOptions, job: RadarJob) -> None:
+    del options
+    if save.is_dir():
+        _print_written(save_radar_where_read(data, indices[0], job.calibration))
+    else:
+        difference = data.frame_difference(data.sequences[indices[0]])
+        _print_written(save_radar(save, job.calibration, difference=difference))
 
 
-def _save_camera(data: Any, index: int, name: str, before: Any, after: Any, save: Path | None) -> None:
-    from farfield.calibration.saving import save_camera, save_camera_where_read
+def _save_camera(
+    save: Path, data: Any, indices: list[int], options: CalibrationOptions, job: CameraJob | PairsJob
+) -> None:
+    camera = pictured_camera(data, indices, options)
+    after = job.calibration.camera if isinstance(job, PairsJob) else job.after
+    if save.is_dir():
+        _print_written(save_camera_where_read(data, camera.index, camera.name, camera.stored, after))
+    else:
+        _print_written(save_camera(save, camera.name, camera.stored or after, after))
 
-    if save is not None and save.is_dir():
-        _wrote(save_camera_where_read(data, index, name, before, after))
-    elif save is not None:
-        _wrote(save_camera(save, name, before or after, after))
+
+def _save_lidars(
+    save: Path, data: Any, indices: list[int], options: CalibrationOptions, registration: Registration
+) -> None:
+    del options
+    if save.is_dir():
+        _print_written(save_lidars_where_read(data, indices[0], registration.target_T_source))
+    else:
+        write_text(save, json.dumps(registration.to_json(), indent=1) + "\n")
+        _print_written([save])
 
 
-def _wrote(paths: list[Path]) -> None:
-    print("\n".join(f"wrote {each}" for each in paths[:20]))
+_SAVERS: dict[str, Callable[..., None]] = {
+    "radar-lidar": _save_radar,
+    "lidar-camera": _save_camera,
+    "lidar-lidar": _save_lidars,
+}
+
+
+def _print_written(paths: Sequence[Path]) -> None:
+    print("\n".join(f"wrote {path}" for path in paths[:20]))
     if len(paths) > 20:
         print(f"... and {len(paths) - 20} more")
 
 
-def _lidars(data: Any, indices: list[int], names: tuple[str, str], save: Path | None) -> dict[str, Any]:
-    from farfield.calibration.jobs import lidars_job
-    from farfield.calibration.saving import save_lidars_where_read
-    from farfield.files.atomic import write_text
-
-    found = lidars_job(data, indices, *names)
-    result = {"kind": "lidar-lidar", "target_T_source": found.target_T_source.tolist(), "rms_cm": 100 * found.rms_m}
-    result |= {"pairs": found.pairs, "notes": list(found.solution.unobserved), **found.solution.to_json()}
-    if save is not None and save.is_dir():
-        _wrote(save_lidars_where_read(data, indices[0], found.target_T_source))
-    elif save is not None:
-        write_text(save, json.dumps(result, indent=1) + "\n")
-        _wrote([save])
-    return result
-
-
-def _board(
-    path: Path, described: tuple[tuple[int, int], float, bool], name: str | None, save: Path | None
-) -> dict[str, Any]:
-    from farfield.calibration.boards import Board
-    from farfield.calibration.jobs import board_job
-    from farfield.calibration.saving import save_camera
-
-    (columns, rows), square, charuco = described
-    found = board_job(path, Board(columns=columns, rows=rows, square_m=square, markers=charuco))
-    if save is not None:
-        _wrote(save_camera(save, name or "camera", found.camera, found.camera))
-    return found.to_json()
-
-
-def _draw(described: tuple[tuple[int, int], float, bool], path: Path) -> int:
+def _draw(board: Board, path: Path) -> int:
     import numpy as np
 
     from farfield.calibration.board_pictures import board_picture
-    from farfield.calibration.boards import Board
-    from farfield.files.images import write_image
 
-    (columns, rows), square, charuco = described
-    grey = board_picture(Board(columns=columns, rows=rows, square_m=square, markers=charuco))
-    write_image(path, np.repeat(grey[:, :, None], 3, axis=2))
-    print(f"wrote {path}: print it so that a square is {1000 * square:g} mm wide, and glue it to something flat")
+    write_image(path, np.repeat(board_picture(board)[:, :, None], 3, axis=2))
+    print(
+        f"wrote {path}: print it so that a square is {1000 * board.square_m:g} mm wide, and glue it to something flat"
+    )
     return 0
