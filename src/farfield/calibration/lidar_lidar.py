@@ -7,8 +7,8 @@ with pairs taken anew in each round. :func:`register` is the algorithm.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
