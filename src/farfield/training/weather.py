@@ -34,8 +34,8 @@ def draw_weather(config: WeatherConfig, rng: np.random.Generator) -> OverlaidWea
         return None
     kind = config.kinds[int(rng.integers(len(config.kinds)))]
     fog_m, rain, snow, film_mm = (
-        float(np.geomspace(*getattr(config, name), _STEPS)[rng.integers(_STEPS)])  # evenly in the logarithm
-        for name in ("fog_m", *_RATES[:2], "film_mm")
+        float(np.geomspace(low, high, _STEPS)[rng.integers(_STEPS)])  # evenly in the logarithm
+        for low, high in (config.fog_m, config.rain_mm_h, config.snow_mm_h, config.film_mm)
     )
     cover, across, up, through, rise_db = (
         rng.uniform(*span)
