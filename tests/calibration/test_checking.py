@@ -7,8 +7,19 @@ import pytest
 from scipy import ndimage
 
 from farfield.calibration.camera_edges import SIGMAS_PX, EdgeViews, camera_difference, move_camera, refine_edges
-from farfield.calibration.checking import check_camera, check_radar, equivalent_errors
+from farfield.calibration.checking import (
+    CLAIMED,
+    _is_error,
+    check_camera,
+    check_radar,
+    detectable_errors,
+    equivalent_errors,
+    frames_needed,
+    information_distance,
+    mahalanobis,
+)
 from farfield.calibration.radar_features import LidarTargets, SensorPair
+from farfield.calibration.radar_lidar import SYSTEMATIC
 from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.geometry.cameras import Camera
 
@@ -17,7 +28,7 @@ POSE = RadarPose(x_m=-2.5, y_m=0.4, z_m=0.7)
 FRAMES = 8
 
 
-def seen(rng: np.random.Generator, cameras: list[Camera] | None) -> EdgeViews:
+def marked_views(rng: np.random.Generator, cameras: list[Camera] | None) -> EdgeViews:
     """Points of each frame, and pictures with edges where a camera sees them; anywhere without cameras."""
     points = np.column_stack([rng.uniform(6, 30, 4800), rng.uniform(-20, 20, 4800), rng.uniform(-4, 5, 4800)])
     points = points[CAMERA.project(points)[2]][: 250 * FRAMES]
@@ -43,7 +54,7 @@ def seen(rng: np.random.Generator, cameras: list[Camera] | None) -> EdgeViews:
 
 @pytest.fixture(scope="module")
 def steady() -> EdgeViews:
-    return seen(np.random.default_rng(0), [CAMERA] * FRAMES)
+    return marked_views(np.random.default_rng(0), [CAMERA] * FRAMES)
 
 
 def test_a_correct_camera_is_not_accused(steady: EdgeViews) -> None:
@@ -71,14 +82,14 @@ def test_a_camera_is_brought_to_what_some_frames_show(steady: EdgeViews) -> None
 
 def test_a_camera_that_moved_is_told_from_one_that_is_off() -> None:
     away = move_camera(CAMERA, np.array([0.0, 0.0175, 0, 0, 0, 0]))
-    views = seen(np.random.default_rng(1), [CAMERA] * (FRAMES // 2) + [away] * (FRAMES // 2))
+    views = marked_views(np.random.default_rng(1), [CAMERA] * (FRAMES // 2) + [away] * (FRAMES // 2))
     found = check_camera(CAMERA, views)
     assert found.verdict == "moved"
     assert found.drift_degrees == pytest.approx(1.0, abs=0.2)
 
 
 def test_edges_anywhere_tell_nothing() -> None:
-    views = seen(np.random.default_rng(2), None)
+    views = marked_views(np.random.default_rng(2), None)
     assert check_camera(CAMERA, views).verdict == "not told"
     assert check_camera(move_camera(CAMERA, np.array([0, 0.02, 0, 0, 0, 0])), views).verdict == "not told"
 
@@ -93,7 +104,10 @@ def test_edges_anywhere_seldom_accuse_a_camera() -> None:
     """
     claimed = 0
     for seed in range(30):
-        views, turned = seen(np.random.default_rng(seed), None), move_camera(CAMERA, np.array([0, 0.02, 0, 0, 0, 0]))
+        views, turned = (
+            marked_views(np.random.default_rng(seed), None),
+            move_camera(CAMERA, np.array([0, 0.02, 0, 0, 0, 0])),
+        )
         claimed += sum(check_camera(each, views).claimed for each in (CAMERA, turned))
     assert claimed <= 6
 
@@ -171,3 +185,87 @@ def test_too_little_tells_nothing(steady: EdgeViews) -> None:
     assert check_camera(CAMERA, few).verdict == "not told"
     evidence = road(np.random.default_rng(5))
     assert check_radar(POSE, replace(evidence, peaks={})).verdict == "not told"
+
+
+# What a check of a radar would find: y and yaw that err against each other, and how many frames it would take
+
+AHEAD_M = 30.0
+
+
+def covariance(aside_m: float, turn_rad: float) -> np.ndarray:
+    """x and the place aside of objects 30 m ahead known to ``aside_m``, the turn about them to ``turn_rad``."""
+    turns = np.array([[1, 0, 0], [0, 1, -AHEAD_M], [0, 0, 1.0]])
+    return np.asarray(turns @ np.diag([aside_m**2, aside_m**2, turn_rad**2]) @ turns.T)
+
+
+def test_a_shift_shows_where_the_objects_stand() -> None:
+    known = covariance(0.03, np.radians(0.4))
+    assert np.sqrt(known[1, 1]) > 0.2  # y alone would tell nothing
+    assert mahalanobis(np.array([0.0, 0.2, 0.0]), known) > CLAIMED
+    assert mahalanobis(np.array([0.0, -0.2, 0.2 / AHEAD_M]), known) < 1.0  # at the objects nothing moved
+    assert detectable_errors(known).shift_m < 0.2
+
+
+def test_what_is_found_lies_beyond_what_is_claimed() -> None:
+    known = covariance(0.05, np.radians(0.2))
+    found = detectable_errors(known)
+    for away in np.linspace(0, 2 * np.pi, 12):
+        change = found.shift_m * np.array([np.cos(away), np.sin(away), 0.0])
+        assert mahalanobis(change, known) > CLAIMED + 1.6
+    assert mahalanobis(np.array([0, 0, found.turn_rad]), known) > CLAIMED + 1.6
+
+
+def test_more_frames_tell_what_few_do_not() -> None:
+    systematic = np.diag(SYSTEMATIC[:3] ** 2)
+    few = covariance(0.12, np.radians(0.5))
+    assert not detectable_errors(systematic + few).enough
+    needed = frames_needed(systematic + few, 24, systematic)
+    assert needed > 24
+    assert detectable_errors(systematic + few * 24 / needed).enough
+    assert not detectable_errors(systematic + few * 24 / (needed - 1)).enough
+
+
+def test_no_number_of_frames_undoes_what_is_systematic(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("farfield.calibration.checking.ASKED_M", 0.1)
+    systematic = np.diag(SYSTEMATIC[:3] ** 2)
+    assert frames_needed(systematic + covariance(0.1, np.radians(0.4)), 24, systematic) == 0
+
+
+def test_a_shift_between_the_axes_is_as_large_as_along_one() -> None:
+    """10 cm at 45 degrees are 7 along each axis, where 8 are no error: no less an error than 10 along one."""
+    assert _is_error(np.array([0.07, 0.07, 0.0]), 1.0)
+    assert not _is_error(np.array([0.05, 0.05, 0.0]), 1.0)
+    assert _is_error(np.array([0.0, 0.0, np.radians(-0.4)]), 1.0)
+    assert not _is_error(np.array([0.0, 0.0, np.radians(-0.4)]), 1.5)
+
+
+# Normalised information distance on a drawn wall: least at the truth, one where nothing is in common
+
+WALL_CAMERA = Camera(matrix=np.array([[300.0, 0, 160], [0, 300.0, 120], [0, 0, 1]]), width_px=320, height_px=240)
+
+
+def wall(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A picture of 12-pixel patches, points on them, and the patches' grey seen by the LiDAR, squared and noisy."""
+    grey = np.kron(rng.uniform(20, 235, (20, 27)), np.ones((12, 12)))[:, :320]
+    pixels = rng.uniform([1, 1], [318, 238], (6000, 2))
+    points = 20.0 * WALL_CAMERA.rays(pixels)
+    column, row = np.floor(pixels).astype(int).T
+    return grey.astype(np.uint8)[..., None].repeat(3, 2), points, grey[row, column] ** 2 + rng.normal(0, 30, 6000)
+
+
+def test_it_is_least_at_the_truth() -> None:
+    frames = [wall(np.random.default_rng(seed)) for seed in range(3)]
+    columns = [list(each) for each in zip(*frames, strict=True)]
+    right = information_distance(WALL_CAMERA, *columns)
+    for turn in ([0.5, 0, 0], [-0.5, 0, 0], [0, 0.5, 0], [0, -0.5, 0]):
+        assert (
+            information_distance(move_camera(WALL_CAMERA, np.array([*np.radians(turn), 0, 0, 0])), *columns)
+            > right + 0.01
+        )
+
+
+def test_nothing_in_common_is_one() -> None:
+    picture, points, strength = wall(np.random.default_rng(0))
+    assert information_distance(WALL_CAMERA, [picture], [-points], [strength]) == 1.0
+    shuffled = np.random.default_rng(1).permutation(strength)
+    assert information_distance(WALL_CAMERA, [picture], [points], [shuffled]) > 0.95
