@@ -8,11 +8,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from _board_rendering import board_poses, render_board
 from _report import header, progress
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from farfield.calibration.board_pictures import board_poses, render_board
 from farfield.calibration.boards import Board, calibrate_board, find_board
 from farfield.geometry.cameras import Camera
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from _board_rendering import board_poses, render_board
 
 from farfield import cli
-from farfield.calibration.board_pictures import board_picture, board_poses, render_board
-from farfield.calibration.boards import Board, Sighting, calibrate_board, find_board
+from farfield.calibration.boards import Board, Sighting, board_picture, calibrate_board, find_board
 from farfield.datasets.calibration import read_calibration
 from farfield.errors import ConfigError
 from farfield.files.images import read_image, write_image

@@ -20,6 +20,7 @@ from farfield.errors import ConfigError, MissingExtraError
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES, Camera
 
 LEAST_PICTURES = 5
+MARGIN_SQUARES = 1.0  # of white round a printed board
 _LEAST_CORNERS = 8
 _WORST = 3.0  # times the median error: a picture with a wrong corner
 _DICTIONARY = "DICT_5X5_1000"
@@ -260,3 +261,15 @@ def _solve(pictures: list[Sighting], board: Board) -> _BoardSolution:
     numbers = 2 * sum(len(picture.corner) for picture in pictures)
     gain = 2 * numbers * np.log(fits[0][0] / max(fits[1][0], 1e-12))
     return fits[int(gain > _CRITERION * np.log(numbers))][1]
+
+
+def board_picture(board: Board, px_per_square: int = 100) -> UInt8[np.ndarray, "height width"]:
+    """The board with a white margin of one square; 8 bit grey, for printing at ``board.square_m`` a square."""
+    across, down = board.columns + 1, board.rows + 1
+    if board.markers:
+        size = (across * px_per_square, down * px_per_square)
+        inner = np.asarray(board.detector().generateImage(size), dtype=np.uint8)
+    else:
+        y, x = np.mgrid[:down, :across]
+        inner = np.kron(255 * ((x + y) % 2), np.ones((px_per_square, px_per_square))).astype(np.uint8)
+    return np.pad(inner, round(MARGIN_SQUARES * px_per_square), constant_values=255)

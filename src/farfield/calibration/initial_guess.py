@@ -80,7 +80,9 @@ class InitialGuess:
         if self.focal_px is not None:
             if not 10 < self.focal_px < 1e5:
                 raise ConfigError(f"--guess-focal: expected pixels, got {self.focal_px:g}")
-            return guessed_camera(picture[1], picture[0], self.focal_px, camera_T_lidar)
+            middle = (picture[1] - 1) / 2, (picture[0] - 1) / 2
+            matrix = np.array([[self.focal_px, 0, middle[0]], [0, self.focal_px, middle[1]], [0, 0, 1.0]])
+            return Camera(matrix=matrix, camera_T_lidar=camera_T_lidar, width_px=picture[1], height_px=picture[0])
         if stored is None:
             raise ConfigError(f"{name} has no calibration: give --guess-focal PIXELS and --pairs, or --intrinsics FILE")
         return replace(stored, camera_T_lidar=camera_T_lidar)
@@ -114,12 +116,6 @@ def camera_at(
         [[level, 0, low], [0, 1, 0], [-low, 0, level]]
     )
     return CAMERA_T_LIDAR_AXES @ invert(pose(turn, np.asarray(position_m, dtype=np.float64)))
-
-
-def guessed_camera(width_px: int, height_px: int, focal_px: float, camera_T_lidar: Float[np.ndarray, "4 4"]) -> Camera:
-    """A camera without distortion whose principal point is the picture's middle."""
-    matrix = np.array([[focal_px, 0, (width_px - 1) / 2], [0, focal_px, (height_px - 1) / 2], [0, 0, 1.0]])
-    return Camera(matrix=matrix, camera_T_lidar=camera_T_lidar, width_px=width_px, height_px=height_px)
 
 
 def read_clicked(path: Path, *, unit_m: float = 1.0) -> dict[str, Float[np.ndarray, " 3"]]:

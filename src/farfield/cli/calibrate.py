@@ -189,7 +189,7 @@ def _print_written(paths: Sequence[Path]) -> None:
 def _draw(board: Board, path: Path) -> int:
     import numpy as np
 
-    from farfield.calibration.board_pictures import board_picture
+    from farfield.calibration.boards import board_picture
 
     write_image(path, np.repeat(board_picture(board)[:, :, None], 3, axis=2))
     print(

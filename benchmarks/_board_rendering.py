@@ -1,4 +1,4 @@
-"""Pictures of a calibration board: to print, and as a camera of known calibration would see it."""
+"""Pictures of a calibration board as a camera of known calibration would see it."""
 
 from dataclasses import replace
 
@@ -8,26 +8,13 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
-from farfield.calibration.boards import Board
+from farfield.calibration.boards import MARGIN_SQUARES, Board, board_picture
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import Camera, undistort
 from farfield.geometry.poses import invert, pose
 
-_MARGIN = 1.0  # squares of white round the board
 _FINE_PX = 60  # of the board's own picture a square
 _KNOTS_PX = 12
-
-
-def board_picture(board: Board, px_per_square: int = 100) -> UInt8[np.ndarray, "height width"]:
-    """The board with a white margin of one square; 8 bit grey, for printing at ``board.square_m`` a square."""
-    across, down = board.columns + 1, board.rows + 1
-    if board.markers:
-        size = (across * px_per_square, down * px_per_square)
-        inner = np.asarray(board.detector().generateImage(size), dtype=np.uint8)
-    else:
-        y, x = np.mgrid[:down, :across]
-        inner = np.kron(255 * ((x + y) % 2), np.ones((px_per_square, px_per_square))).astype(np.uint8)
-    return np.pad(inner, round(_MARGIN * px_per_square), constant_values=255)
 
 
 def render_board(
@@ -66,10 +53,10 @@ def render_board(
 
 def _outline(camera: Camera, camera_T_board: Float[np.ndarray, "4 4"], board: Board) -> tuple[int, int, int, int]:
     """Columns and rows of the picture between which the board lies."""
-    share = np.linspace(-_MARGIN, 1.0, 12)
+    share = np.linspace(-MARGIN_SQUARES, 1.0, 12)
     x = share * (board.columns + 2)
     y = share * (board.rows + 2)
-    ends = ((board.columns + 2.0), (board.rows + 2.0), -_MARGIN)
+    ends = ((board.columns + 2.0), (board.rows + 2.0), -MARGIN_SQUARES)
     around = [np.column_stack([x, np.full(12, end)]) for end in (ends[1], ends[2])]
     around += [np.column_stack([np.full(12, end), y]) for end in (ends[0], ends[2])]
     rim_m = np.column_stack([np.concatenate(around) * board.square_m, np.zeros(48)])
@@ -99,7 +86,7 @@ def _texture(
     board_T_camera = invert(camera_T_board)
     towards, origin = rays @ board_T_camera[:3, :3].T, board_T_camera[:3, 3]
     range_m = -origin[2] / np.where(np.abs(towards[:, 2]) > 1e-3, towards[:, 2], 1e-3)
-    cell = ((origin[:2] + towards[:, :2] * range_m[:, None]) / board.square_m + _MARGIN) * _FINE_PX - 0.5
+    cell = ((origin[:2] + towards[:, :2] * range_m[:, None]) / board.square_m + MARGIN_SQUARES) * _FINE_PX - 0.5
     cell = np.where((range_m > 0)[:, None], np.clip(cell, -1e4, 1e5), -1e4).reshape(*u.shape, 2)
     x, y = (RectBivariateSpline(down, across, cell[..., axis])(rows, columns).astype(np.float32) for axis in (0, 1))
     texture = board_picture(board, _FINE_PX).astype(np.float32)
