@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from difflib import SequenceMatcher
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -351,15 +350,15 @@ def nearest_sizes(own_m: Mapping[str, Sequence[float]], source_m: Mapping[str, S
         own_m: Length, width and height of the network's anchors, metres, by class.
         source_m: The same of the source's.
     """
-    return {
-        name: min(source_m, key=partial(_unlike, size, source_m))
-        for name, size in own_m.items()
-        if name not in source_m and source_m
-    }
-
-
-def _unlike(size_m: Sequence[float], others_m: Mapping[str, Sequence[float]], name: str) -> float:
-    return sum(abs(math.log(one / other)) for one, other in zip(size_m, others_m[name], strict=True))
+    nearest = {}
+    for name, size_m in own_m.items():
+        if name not in source_m and source_m:
+            distance = {
+                other: sum(abs(math.log(a / b)) for a, b in zip(size_m, other_m, strict=True))
+                for other, other_m in source_m.items()
+            }
+            nearest[name] = min(distance, key=distance.__getitem__)
+    return nearest
 
 
 def _differences(source: Mapping[str, Any], own: Mapping[str, Any], where: str = "") -> Iterator[str]:
@@ -407,7 +406,11 @@ def by_columns(
     value.movedim(axis, 0)[here] = rows[[column_of[names[number]] for number in here]]
     new = [str(name) for name in names if name not in column_of]
     gone = [str(name) for name in others if name not in set(names)]
-    changes = [f"{word} {_few(columns)}" for word, columns in (("at zero:", new), ("dropped:", gone)) if columns]
+    changes = [
+        f"{word} {', '.join(columns[:4])}" + (f" and {len(columns) - 4} more" if len(columns) > 4 else "")
+        for word, columns in (("at zero:", new), ("dropped:", gone))
+        if columns
+    ]
     description = f"columns by name; {'; '.join(changes)}" if changes else "columns by name, in another order"
     return value, own.numel() // own.shape[axis] * len(here), description
 
@@ -489,7 +492,3 @@ def _alike_but(own: Tensor, other: Tensor, axis: int) -> bool:
     if own.ndim != other.ndim or own.ndim <= axis:
         return False
     return all(a == b for k, (a, b) in enumerate(zip(own.shape, other.shape, strict=True)) if k != axis)
-
-
-def _few(names: Sequence[str]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
