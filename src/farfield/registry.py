@@ -13,13 +13,13 @@ T = TypeVar("T")
 Registered = TypeVar("Registered")
 
 
-def named(place: str) -> Any:
+def named(target: str) -> Any:
     """What stands at ``"module:attribute"``, imported now.
 
     So a method of a lower room, such as ``Frame._repr_html_``, reaches the upper room that does the work, which it
     knows by name alone.
     """
-    module, _, attribute = place.partition(":")
+    module, _, attribute = target.partition(":")
     return getattr(import_module(module), attribute)
 
 
@@ -115,19 +115,19 @@ class Registry(Generic[T]):
             return loaded
         points = [point for point in self._points() if point.name == name]
         if not points:
-            known = ", ".join(self.names())
-            raise ConfigError(f"Expected a {self.what}, one of {known}; got {name!r}.")
+            names = ", ".join(self.names())
+            raise ConfigError(f"Expected a {self.what}, one of {names}; got {name!r}.")
         if len(points) > 1:
             packages = " and ".join(sorted(_package(point) for point in points))
             raise PluginError(f"{self.what} {name!r}: registered by {packages}; uninstall one of them.")
         try:
-            found: T = points[0].load()
+            plugin: T = points[0].load()
         except (Exception, SystemExit) as error:
             raise PluginError(
                 f"{self.what} {name!r} of the package {_package(points[0])} cannot be used: "
                 f"{type(error).__name__}: {error}"
             ) from error
-        return found
+        return plugin
 
     def __contains__(self, name: object) -> bool:
         return name in self.builtin or name in self._registered or any(p.name == name for p in self._points())

@@ -88,12 +88,12 @@ def run(
     bulk = jobs.options("detecting", workers=int(loaded.device.type != "cpu"))
     chosen = partial(plan_detection, loaded, frames, cloud=cloud, bulk=bulk, journal=journal)
     prepared = chosen()
-    own, view = frames[0], prepared.task.seen[0]
+    own, view = frames[0], prepared.task.frames[0]
     if reference and reference not in (own.reference, view.reference):
         references = " or ".join(dict.fromkeys((own.reference, view.reference)))
         raise ConfigError(f"--reference: expected {references}, got {reference!r}")
-    shown = prepared.task.seen if reference == view.reference else frames
-    prepared = prepared if shown is prepared.task.seen else chosen(in_own=True)
+    shown = prepared.task.frames if reference == view.reference else frames
+    prepared = prepared if shown is prepared.task.frames else chosen(in_own=True)
     if dry_run:
         shown[0].cloud(cloud or suitable_clouds(loaded.info, shown[0])[0])  # reads it, or says why it cannot
         would_write(f"the boxes of {len(frames)} frames as {chosen_format}", out or "the output")

@@ -127,10 +127,10 @@ class Inputs(Mapping[str, list[Tensor]]):
             raise ConfigError(f"Inputs: expected the same inputs to join; got {', '.join(self)} and {', '.join(other)}")
         return Inputs({name: [*tensors, *other[name]] for name, tensors in self._named.items()})
 
-    def to(self, *place: Any, **options: Any) -> "Inputs":
+    def to(self, *target: Any, **options: Any) -> "Inputs":
         """The same inputs on another device or in another number type, as ``Tensor.to`` takes them."""
         named = self._named.items()
-        return Inputs({name: [tensor.to(*place, **options) for tensor in tensors] for name, tensors in named})
+        return Inputs({name: [tensor.to(*target, **options) for tensor in tensors] for name, tensors in named})
 
     def on(self, device: torch.device) -> "Inputs":
         """The same inputs on a device; to a GPU through pinned memory, without waiting for the copies."""

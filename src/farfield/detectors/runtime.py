@@ -47,23 +47,23 @@ class ChosenClasses:
     max_boxes: int
 
     @classmethod
-    def of(cls, wanted: Classes, known: tuple[str, ...], max_boxes: int) -> "ChosenClasses":
+    def of(cls, choice: Classes, class_names: tuple[str, ...], max_boxes: int) -> "ChosenClasses":
         """Check a choice.
 
         Args:
-            wanted: The choice.
-            known: The detector's own classes.
+            choice: The choice.
+            class_names: The detector's own classes.
             max_boxes: As of the class.
 
         Raises:
             ConfigError: If it names none, or one that the detector does not know.
         """
-        names = dict(wanted) if isinstance(wanted, Mapping) else {name: name for name in wanted}
-        unknown = [name for name in names if name not in known]
+        names = dict(choice) if isinstance(choice, Mapping) else {name: name for name in choice}
+        unknown = [name for name in names if name not in class_names]
         if unknown or not names or not all(names.values()):
             raise ConfigError(
-                f"classes: expected at least one class that the detector knows ({', '.join(known)}), each with the "
-                f"name to give it or none; got {', '.join(unknown or names) or 'none'}."
+                f"classes: expected at least one class that the detector knows ({', '.join(class_names)}), each with "
+                f"the name to give it or none; got {', '.join(unknown or names) or 'none'}."
             )
         return cls(names, max_boxes)
 
@@ -448,7 +448,7 @@ def record_trunk(detector: Detector, frame: Frame | Cloud) -> None:
         subject = f"{detector.name} on {detector.device}"
         raise ConfigError(f"record_trunk: expected PointPillars, SECOND or VoxelNet on a GPU; got {subject}")
     images: list[Tensor] = []
-    hook = trunk.register_forward_pre_hook(lambda _, given: images.append(given[0]))
+    hook = trunk.register_forward_pre_hook(lambda _, inputs: images.append(inputs[0]))
     try:
         detector(frame)
     finally:

@@ -40,8 +40,8 @@ class FileFormatError(FarfieldError):
         super().__init__(f"{path}, {where}: expected {expected}, found {found}." + (f" {mend}" if mend else ""))
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        known = {"where": self.where, "expected": self.expected, "found": self.found, "mend": self.mend}
-        return partial(FileFormatError, **known), (self.path,)
+        keywords = {"where": self.where, "expected": self.expected, "found": self.found, "mend": self.mend}
+        return partial(FileFormatError, **keywords), (self.path,)
 
 
 class DatasetError(FarfieldError):

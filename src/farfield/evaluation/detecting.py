@@ -76,7 +76,7 @@ def detect(
     annotations: MutableMapping[Key, Annotation] = alike(boxes)
     conditions: dict[Key, Mapping[str, str]] = {}
     unannotated, times_ms = 0, list[float]()
-    keys, numbers = plan.task.seen.keys, range(len(plan.task.seen))
+    keys, numbers = plan.task.frames.keys, range(len(plan.task.frames))
     for index, detections in zip(progress(numbers) if bulk is None else numbers, plan.detections(), strict=True):
         if detections is None:
             unannotated += 1
@@ -94,7 +94,7 @@ def detect(
     # Say of what the detections are: the detector, the data, and whether it was trained on them.
     info = described.info
     leakage, common = seen_in_training(dataset, info.provenance, set(annotations))
-    moved = dataset.maps != plan.task.seen.maps  # boxes are seen in other coordinates than the data's own
+    moved = dataset.maps != plan.task.frames.maps  # boxes are seen in other coordinates than the data's own
     return Detections(
         detector=info.name,
         detector_digest=described.digest() or "",
@@ -106,7 +106,7 @@ def detect(
         reference=plan.reference,
         cloud=plan.task.cloud,
         classes=info.classes,
-        drives=plan.task.seen.drives(),
+        drives=plan.task.frames.drives(),
         boxes=boxes,
         annotations=annotations,
         conditions=conditions,
@@ -144,14 +144,14 @@ def plan_detection(
         DatasetError: If there is no frame.
     """
     described, dataset = as_detector(detector), in_memory(data)
-    seen = as_trained(dataset, described.info)
-    if not len(seen):
+    frames = as_trained(dataset, described.info)
+    if not len(frames):
         raise DatasetError("detect: expected at least one frame, found none.")
-    first = seen[0]
+    first = frames[0]
     name = cloud or next(iter(suitable_clouds(described.info, first)), None)
     task = DetectTask(
         detector=described.with_cloud(name),
-        seen=seen,
+        frames=frames,
         cloud=name,
         annotated_only=annotated_only,
         own=dataset if in_own and dataset[0].reference != first.reference else None,
@@ -221,15 +221,15 @@ class DetectTask:
 
     Args:
         detector: What detects.
-        seen: The frames, as the detector sees them.
+        frames: The frames, in the detector's coordinates and form.
         cloud: The cloud that it reads, whose points in the annotated boxes are counted.
         annotated_only: Leave out frames without annotation.
-        own: The frames in whose coordinates the boxes are given; those of ``seen`` if None.
+        own: The frames in whose coordinates the boxes are given; those of ``frames`` if None.
         packed: Give boxes and counts as JSON takes them; the rest then stands in the clock, which no journal keeps.
     """
 
     detector: DescribedDetector
-    seen: Dataset
+    frames: Dataset
     cloud: str | None
     annotated_only: bool = False
     own: Dataset | None = None
@@ -238,7 +238,7 @@ class DetectTask:
 
     def __call__(self, unit: Unit) -> UnitResult:
         """Detect in a frame, which is built here and nowhere else."""
-        frame = self.seen[unit.parameters]
+        frame = self.frames[unit.parameters]
         if self.annotated_only and not frame.has_annotation:
             return UnitResult()
         points = None if self.cloud is None else frame.cloud(self.cloud)  # reading a file is not the detector's time
@@ -262,16 +262,16 @@ class DetectTask:
 
     def units(self) -> list[Unit]:
         """One a frame."""
-        keys = ["/".join(key) for key in self.seen.keys] if self.seen.stored else map(str, range(len(self.seen)))
-        return [Unit(name, tuple(self.seen.files(index)), index) for index, name in enumerate(keys)]
+        keys = ["/".join(key) for key in self.frames.keys] if self.frames.stored else map(str, range(len(self.frames)))
+        return [Unit(name, tuple(self.frames.files(index)), index) for index, name in enumerate(keys)]
 
     @property
     def setting(self) -> str | None:
         """All that decides the detections besides the frames' files; None where that cannot be said."""
         digest = self.detector.digest()
-        if digest is None or not self.seen.files(0):
+        if digest is None or not self.frames.files(0):
             return None
-        recipes = [None if frames is None or not frames.stored else frames.recipe for frames in (self.seen, self.own)]
+        recipes = [None if frames is None or not frames.stored else frames.recipe for frames in (self.frames, self.own)]
         return json.dumps([environment(), digest, recipes, self.cloud, self.annotated_only])
 
 
@@ -314,7 +314,7 @@ class DetectionPlan:
         """Detections of a journal; a frame that an earlier run detected in is built now, for its annotation."""
         if rest is not None:
             return FrameDetections.from_json(tree, annotation=rest.annotation, conditions=rest.conditions, ms=rest.ms)
-        frame = self.task.seen[index]
+        frame = self.task.frames[index]
         return FrameDetections.from_json(tree, annotation=frame.annotation, conditions=frame.conditions)
 
 

@@ -72,8 +72,8 @@ def evaluate_clouds(
     """
     described, dataset = as_detector(detector), in_memory(data)
     info = described.info
-    seen = as_trained(dataset, info)
-    first = seen[0]
+    frames = as_trained(dataset, info)
+    first = frames[0]
     protocol = PROTOCOLS[options.protocol]
     clouds = options.clouds or suitable_clouds(info, first)
     # Detect in each cloud and score its detections.
@@ -92,7 +92,7 @@ def evaluate_clouds(
         predictions[name] = detections.boxes
         clouds_results[name] = score_cloud(detections, protocol, options, kind=kind_of(first, name))
     # Choose the frames that the report shows, and say what was evaluated.
-    shown = np.linspace(0, len(seen) - 1, max(0, min(options.shown_frames, len(seen)))).round().astype(int)
+    shown = np.linspace(0, len(frames) - 1, max(0, min(options.shown_frames, len(frames)))).round().astype(int)
     return Evaluation(
         title=options.title,
         results={name: cloud.result for name, cloud in clouds_results.items()},
@@ -100,7 +100,7 @@ def evaluate_clouds(
         objects={name: cloud.objects for name, cloud in clouds_results.items()},
         parts={name: cloud.parts for name, cloud in clouds_results.items()},
         timing={name: cloud.timing for name, cloud in clouds_results.items() if cloud.timing},
-        frames=[frame_view(seen[index], predictions) for index in sorted(set(shown.tolist()))],
+        frames=[frame_view(frames[index], predictions) for index in sorted(set(shown.tolist()))],
         settings={
             "detector": info.network,
             "classes": ", ".join(info.classes),
@@ -111,9 +111,9 @@ def evaluate_clouds(
         },
         provenance={
             **environment(),
-            "data": seen.name,
-            "data_fingerprint": seen.fingerprint(),
-            "frames": len(seen),
+            "data": frames.name,
+            "data_fingerprint": frames.fingerprint(),
+            "frames": len(frames),
             "trained_on": training_text(info.provenance),
             **options.provenance,
         },

@@ -119,7 +119,7 @@ def annotated_objects(
     finding = finding or HitRule()
     range_m: list[float] = []
     point_count: list[int] = []
-    found: list[bool] = []
+    is_found: list[bool] = []
     for key, annotated in annotations.items():
         annotated = annotated[of_classes(annotated, labels)]
         if annotated.point_count is None:
@@ -129,8 +129,8 @@ def annotated_objects(
         counted = annotated.point_count >= 0
         range_m += np.round(annotated.range_m[counted], 2).tolist()
         point_count += annotated.point_count[counted].tolist()
-        found += (finder[counted] >= 0).tolist()
-    rows = {"range_m": range_m, "point_count": point_count, "found": found}
+        is_found += (finder[counted] >= 0).tolist()
+    rows = {"range_m": range_m, "point_count": point_count, "found": is_found}
     return {**rows, "score_min": score_min, "finding": str(finding), "kind": kind}
 
 

@@ -208,8 +208,8 @@ def _views(info: DetectorInfo, data: Mapping[str, Dataset], detections: Mapping[
     predictions = {cloud: merged.boxes for cloud, merged in detections.items()}
     views = []
     for weather, drives in data.items():
-        seen = as_trained(drives, info)
-        frame = replace(seen[drives.keys.index(best)], sequence=key_in(weather, best)[0])
+        frames = as_trained(drives, info)
+        frame = replace(frames[drives.keys.index(best)], sequence=key_in(weather, best)[0])
         title = f"{weather.replace('_', ' ').capitalize()}: drive {best[0]}, frame {best[1]}"
         views.append(frame_view(frame, predictions, title=title))
     return views

@@ -181,14 +181,14 @@ class Bag:
         with guarded(self.path, f"a message of {topic.name} ({topic.kind})"):
             return self._store(topic.kind).deserialize_cdr(raw, topic.kind)
 
-    def at(self, name: str, log_ns: int, place: int = 0) -> Any:
-        """The message of a topic that was recorded at a moment, decoded; the ``place``-th where there are several.
+    def at(self, name: str, log_ns: int, repeat: int = 0) -> Any:
+        """The message of a topic that was recorded at a moment, decoded; the ``repeat``-th where there are several.
 
         Raises:
             FileFormatError: If there is none.
         """
         for number, (topic, _, raw) in enumerate(self.messages([name], start_ns=log_ns, stop_ns=log_ns + 1)):
-            if number == place:
+            if number == repeat:
                 return self.decode(topic, raw)
         raise FileFormatError(self.path, where=f"topic {name}", expected=f"a message at {log_ns} ns", found="none")
 

@@ -74,7 +74,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         reference=_agreed(predicted, annotated, notes),
         boxes=predicted.boxes,
         annotations={key: _annotation(boxes, annotated.details.get(key, {})) for key, boxes in annotated.boxes.items()},
-        prediction_details={key: _split_details(known)[0] for key, known in predicted.details.items()},
+        prediction_details={key: _split_details(columns)[0] for key, columns in predicted.details.items()},
         notes=tuple(notes),
     )
 
@@ -104,7 +104,7 @@ def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", refe
         reference=predicted.reference,
         boxes=predicted.boxes,
         annotations={},
-        prediction_details={key: _split_details(known)[0] for key, known in predicted.details.items()},
+        prediction_details={key: _split_details(columns)[0] for key, columns in predicted.details.items()},
         notes=(note,) if predicted.without_score else (),
     )
 

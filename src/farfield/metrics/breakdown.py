@@ -211,14 +211,14 @@ def by_class(detections: Detections, protocol: str | Protocol = "dds", **setting
     others = {name: name for name in detections.classes or sorted(learnt) if name not in listed}
     for name, label in {**chosen.classes, **others}.items():
         other = relabel.get(label, label)
-        number = sum(count for each, count in annotated.items() if relabel.get(each, each) == label)
+        number = sum(count for alias, count in annotated.items() if relabel.get(alias, alias) == label)
         if label in listed_labels:
             rows.append(ClassRow(name, 0, None, f"counted as {label}"))
         elif other != label and other in chosen.classes.values():
             rows.append(ClassRow(name, annotated.get(label, 0), None, f"counted as {other}"))
         elif not number:
             rows.append(ClassRow(name, 0, None, "not annotated"))
-        elif not any(relabel.get(each, each) == label for each in learnt):
+        elif not any(relabel.get(alias, alias) == label for alias in learnt):
             rows.append(ClassRow(name, number, None, "not learnt"))
         else:
             figures, counted = _figures_of(

@@ -121,8 +121,10 @@ def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Compa
         else:
             classes = tree.get("labels") or {tree.get("label", ""): tree}
         entries += [
-            ComparedResult(name, family, str(label), each, protocol, subject_of(each) or subject_of(tree))
-            for label, each in classes.items()
+            ComparedResult(
+                name, family, str(label), class_result, protocol, subject_of(class_result) or subject_of(tree)
+            )
+            for label, class_result in classes.items()
         ]
     return entries
 
@@ -155,8 +157,8 @@ def _read(path: Path) -> dict[str, Tree]:
             results[name] = {"conditions": beside["conditions"], **results[name]}
     for result in results.values():
         _check(path, result)
-        for each in (result.get("labels") or {}).values():
-            _check(path, each)
+        for class_result in (result.get("labels") or {}).values():
+            _check(path, class_result)
     return results
 
 

@@ -129,7 +129,8 @@ def errors_by_range(
 
 def mean_of(errors: Sequence[DepthErrors]) -> dict[str, float]:
     """Mean over images of each image's figures, as KITTI does; images without a compared pixel are left out."""
-    counted = [each for each in errors if each.compared]
+    counted = [image for image in errors if image.compared]
     return {
-        name: float(np.mean([getattr(each, name) for each in counted])) if counted else float("nan") for name in FIGURES
+        name: float(np.mean([getattr(image, name) for image in counted])) if counted else float("nan")
+        for name in FIGURES
     }

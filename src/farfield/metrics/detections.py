@@ -103,50 +103,50 @@ class Protocol(ABC):
         """The default of a setting; None where there is no such setting."""
         return getattr(self.Settings(), name, None)
 
-    def settings(self, detections: "Detections", **given: Any) -> Any:
+    def settings(self, detections: "Detections", **options: Any) -> Any:
         """The settings of a score: those given, and defaults of which some depend on the data.
 
         Raises:
             ConfigError: If a setting is unknown or impossible.
         """
-        unknown = sorted(set(given) - set(self.options()))
+        unknown = sorted(set(options) - set(self.options()))
         if unknown:
             expected = ", ".join(self.options())
             raise ConfigError(f"{self}: expected options among {expected}; got {', '.join(unknown)}")
-        edges_and_weights = {name: given[name] for name in _NUMBERS if given.get(name) is not None}
-        given |= {name: tuple(map(float, values)) for name, values in edges_and_weights.items()}
-        if "label" in self.options() and given.get("label") is None:
-            given = {name: value for name, value in given.items() if name != "label"}
-            present = self.labels(detections.annotated, **given)
-            relabel = relabel_of(self, given)
+        edges_and_weights = {name: options[name] for name in _NUMBERS if options.get(name) is not None}
+        options |= {name: tuple(map(float, values)) for name, values in edges_and_weights.items()}
+        if "label" in self.options() and options.get("label") is None:
+            options = {name: value for name, value in options.items() if name != "label"}
+            present = self.labels(detections.annotated, **options)
+            relabel = relabel_of(self, options)
             detected = {relabel.get(name, name) for name in detections.classes}
-            given |= {"label": next((name for name in present if name in detected), present[0])} if present else {}
-        return self.Settings(**given)
+            options |= {"label": next((name for name in present if name in detected), present[0])} if present else {}
+        return self.Settings(**options)
 
-    def labels(self, boxes: BoxesByFrame, **given: Any) -> tuple[str, ...]:
+    def labels(self, boxes: BoxesByFrame, **options: Any) -> tuple[str, ...]:
         """Classes that can be scored, the most frequent first: relabelled ones as one, ignored ones left out."""
-        chosen = {name: given[name] for name in ("relabel", "ignore") if name in given and name in self.options()}
+        chosen = {name: options[name] for name in ("relabel", "ignore") if name in options and name in self.options()}
         default = self.Settings(**chosen)
         names = (name for name, _ in labels_of(boxes, getattr(default, "relabel", {})))
         return tuple(name for name in names if name not in (getattr(default, "ignore", None) or ()))
 
-    def each(self, detections: "Detections", *, label: str | None = None, **given: Any) -> list[Any]:
+    def each(self, detections: "Detections", *, label: str | None = None, **options: Any) -> list[Any]:
         """The settings of one result a class, the most annotated class first.
 
         Args:
             detections: The detections.
             label: The only class to score; None for every annotated one.
-            **given: Further settings.
+            **options: Further settings.
 
         Raises:
             ConfigError: If no box bears the label, or a setting is unknown or impossible.
         """
         if "label" not in self.options():
-            return [self.settings(detections, **given)]
-        detections.check_label(self, label, **given)
-        present = self.labels(detections.annotated, **given)
+            return [self.settings(detections, **options)]
+        detections.check_label(self, label, **options)
+        present = self.labels(detections.annotated, **options)
         names = [label] if label is not None else present or (None,)
-        return [self.settings(detections, label=name, **given) for name in names]
+        return [self.settings(detections, label=name, **options) for name in names]
 
     def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
         """The few figures that stand for a result: for the terminal, ``compare-results`` and the page.
@@ -179,9 +179,9 @@ class Protocol(ABC):
         return option_text(self.depends_on(settings, by_range=by_range))
 
 
-def relabel_of(protocol: Protocol, given: Mapping[str, Any]) -> Mapping[str, str]:
+def relabel_of(protocol: Protocol, options: Mapping[str, Any]) -> Mapping[str, str]:
     """Which class names a protocol counts as others, under the settings that are given."""
-    chosen = {name: given[name] for name in ("relabel",) if name in given and name in protocol.options()}
+    chosen = {name: options[name] for name in ("relabel",) if name in options and name in protocol.options()}
     relabel: Mapping[str, str] = getattr(protocol.Settings(**chosen), "relabel", None) or {}
     return relabel
 
@@ -390,13 +390,13 @@ class Detections:
         """Number of frames that have both predicted and annotated boxes."""
         return sum(key in self.boxes and len(boxes) > 0 < len(self.boxes[key]) for key, boxes in self.annotated.items())
 
-    def check_label(self, protocol: str | Protocol, label: str | None = None, **given: Any) -> None:
+    def check_label(self, protocol: str | Protocol, label: str | None = None, **options: Any) -> None:
         """Refuse a class that no annotated box bears or that the detector does not know: figures would be null or 0.
 
         Args:
             protocol: The protocol, which may count classes as others.
             label: The class; None: the protocol chooses.
-            **given: Further settings of the protocol.
+            **options: Further settings of the protocol.
 
         Raises:
             ConfigError: If there are annotated boxes, and none is of the class, or of any that the detector knows.
@@ -404,9 +404,9 @@ class Detections:
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         if chosen.several_classes:
             if "label" not in chosen.options():
-                chosen.each(self, label=label, **given)
+                chosen.each(self, label=label, **options)
             return
-        relabel = relabel_of(chosen, given)
+        relabel = relabel_of(chosen, options)
         counts = dict(labels_of(self.annotated, relabel))
         detected = dict.fromkeys(relabel.get(name, name) for name in self.classes)
         if detected and counts and not (set(counts) & set(detected) if label is None else label in detected):

@@ -82,7 +82,7 @@ class Subject:
         """What :meth:`to_json` gave; None where a result, such as an older one, has no subject."""
         if not isinstance(tree, Mapping) or not all(isinstance(tree.get(name), str) for name in ("protocol", "label")):
             return None
-        values: dict[str, Any] = {each.name: tree[each.name] for each in fields(cls) if each.name in tree}
+        values: dict[str, Any] = {entry.name: tree[entry.name] for entry in fields(cls) if entry.name in tree}
         numbers = {"annotated", "frames"}
         good = {
             name: value

@@ -111,7 +111,11 @@ def _places(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
 
 def fast(boxes: BoxesByFrame, side: str) -> list[str]:
     """A note where most velocities are beyond those of cars."""
-    parts = [each.velocity_m_s for each in boxes.values() if each.velocity_m_s is not None and len(each)]
+    parts = [
+        frame_boxes.velocity_m_s
+        for frame_boxes in boxes.values()
+        if frame_boxes.velocity_m_s is not None and len(frame_boxes)
+    ]
     speed = np.concatenate([np.linalg.norm(part[:, :2], axis=1) for part in parts]) if parts else np.zeros(0)
     speed = speed[np.isfinite(speed)]
     if not len(speed) or float(np.median(speed)) < _FASTEST_M_S:

@@ -15,9 +15,9 @@ def test_the_best_pattern_of_each_road_is_chosen_and_used_on_other_drives() -> N
     assert best_by(found, **STILL) == {"urban": "uniform", "highway": "gaussian"}
     rule = switched(found, **STILL)
     assert rule.choices == ({"urban": "uniform", "highway": "gaussian"},) * 2
-    for key, known in rule.found.conditions.items():
+    for key, known in rule.detections.conditions.items():
         source = found["uniform" if known["road"] == "urban" else "gaussian"]
-        assert rule.found.boxes[key] is source.boxes[key]
+        assert rule.detections.boxes[key] is source.boxes[key]
 
 
 def test_the_rule_lies_above_both_fixed_choices_where_each_is_best_somewhere() -> None:

@@ -29,7 +29,7 @@ class Messages:
         topic: The topic.
         times_ns: Stamps, by header or by time of recording, shape (n,).
         log_ns: When each was recorded, shape (n,).
-        place: Which of those recorded at the same moment each is, shape (n,).
+        repeat: Which of those recorded at the same moment each is, shape (n,).
         frame_id: Name of its coordinates, by its first message.
         radar: Whether it is a radar's cloud.
         limit: Intensity that is taken as 1.
@@ -38,7 +38,7 @@ class Messages:
     topic: Topic
     times_ns: Int64[np.ndarray, " n"]
     log_ns: Int64[np.ndarray, " n"]
-    place: Int64[np.ndarray, " n"]
+    repeat: Int64[np.ndarray, " n"]
     frame_id: str
     radar: bool
     limit: float | None
@@ -89,7 +89,7 @@ class IndexedBag:
             topic=topic,
             times_ns=times[order],
             log_ns=log[order],
-            place=(np.arange(len(log)) - first_of_equal)[order],
+            repeat=(np.arange(len(log)) - first_of_equal)[order],
             frame_id=frame_id,
             radar=is_radar(columns),
             limit=intensity_limit(columns) if self.intensity_max is None else self.intensity_max,
@@ -188,7 +188,7 @@ class Bags(Dataset):
             row = int(self.frame_ids[index]) if name == reference else messages.nearest(time_ns, self.tolerance_ns)
             if row is None:
                 continue
-            where = (recorded.bag, messages.topic.name, int(messages.log_ns[row]), int(messages.place[row]))
+            where = (recorded.bag, messages.topic.name, int(messages.log_ns[row]), int(messages.repeat[row]))
             taken_ns = int(messages.times_ns[row])
             if messages.topic.kind == CLOUD:
                 ours = np.eye(4) if name == reference else recorded.transforms.fixed(own.frame_id, messages.frame_id)

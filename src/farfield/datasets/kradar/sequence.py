@@ -33,11 +33,11 @@ RELEASES = ("v2", "v1")
 the others in the front one), and ``calib_seq``."""
 
 _FOLDERS = {
-    "v2": tuple(Path(place, "calib_seq_v2") for place in ("resources/cam_calib", "cam_calib", "")),
-    "v1": tuple(Path(place, "calib_seq") for place in ("resources/cam_calib", "cam_calib", "")),
+    "v2": tuple(Path(root, "calib_seq_v2") for root in ("resources/cam_calib", "cam_calib", "")),
+    "v1": tuple(Path(root, "calib_seq") for root in ("resources/cam_calib", "cam_calib", "")),
 }
 _UNNAMED = (Path("resources/cam_calib"), Path("cam_calib"))
-_COMMON = tuple(Path(place, "common") for place in ("resources/cam_calib", "cam_calib"))
+_COMMON = tuple(Path(root, "common") for root in ("resources/cam_calib", "cam_calib"))
 _READERS: Mapping[str, Callable[[Path], TimedTable]] = {
     "gps": read_gps,
     "gps_local": read_local,

@@ -23,12 +23,12 @@ def _wrapped(angle, pi):  # type: ignore[no-untyped-def]
 
 @jit
 def _decode_kernel(  # type: ignore[no-untyped-def]
-    codes, directions, index, place, kinds, headings, rows, count, per_cell, ny, code_step, code_apart,
+    codes, directions, index, grid, kinds, headings, rows, count, per_cell, ny, code_step, code_apart,
     direction_step, direction_apart, fixed: tl.constexpr, block: tl.constexpr,
 ):  # fmt: skip
     # Numbers come from memory: written here they would be rounded to float32.
-    pi, least, most = tl.load(place + 4), tl.load(place + 5), tl.load(place + 6)
-    offset, nearly_one = tl.load(place + 7), tl.load(place + 8)
+    pi, least, most = tl.load(grid + 4), tl.load(grid + 5), tl.load(grid + 6)
+    offset, nearly_one = tl.load(grid + 7), tl.load(grid + 8)
     row = tl.program_id(0) * block + tl.arange(0, block)
     there = row < count
     anchor = tl.load(index + row, mask=there, other=0)
@@ -37,8 +37,8 @@ def _decode_kernel(  # type: ignore[no-untyped-def]
     kind, heading = slot // 2, slot % 2
     ix = cell // ny
     iy = cell - ix * ny
-    x = ix.to(tl.float64) * tl.load(place) + tl.load(place + 2)
-    y = iy.to(tl.float64) * tl.load(place + 1) + tl.load(place + 3)
+    x = ix.to(tl.float64) * tl.load(grid) + tl.load(grid + 2)
+    y = iy.to(tl.float64) * tl.load(grid + 1) + tl.load(grid + 3)
     z = tl.load(kinds + kind * 4, mask=there, other=0.0)
     length = tl.load(kinds + kind * 4 + 1, mask=there, other=1.0)
     width = tl.load(kinds + kind * 4 + 2, mask=there, other=1.0)
@@ -88,7 +88,7 @@ def decoded(
     directions: Tensor,
     index: Tensor,
     *,
-    place: Tensor,
+    grid: Tensor,
     kinds: Tensor,
     headings: Tensor,
     per_cell: int,
@@ -101,7 +101,7 @@ def decoded(
         codes: Codes of all anchors, shape (n, 7).
         directions: Both directions' logits of all anchors, shape (n, 2).
         index: The anchors, shape (k,), int64.
-        place: Step of the grid along x and y, its first cell's x and y, metres; pi; logarithms of the least and the
+        grid: Step of the grid along x and y, its first cell's x and y, metres; pi; logarithms of the least and the
             greatest ratio of a box's size to its anchor's; the heading that directions count from with ``fixed``; and
             what a turn is multiplied by before its half turns are counted; shape (9,), float64.
         kinds: z, length, width and height of each class' anchor, shape (classes, 4), float64.
@@ -113,7 +113,7 @@ def decoded(
     rows = index.new_empty(len(index), 7, dtype=kinds.dtype)
     if len(index):
         _decode_kernel[(triton.cdiv(len(index), _BLOCK),)](
-            codes, directions, index, place, kinds, headings, rows, len(index), per_cell, ny, *codes.stride(),
+            codes, directions, index, grid, kinds, headings, rows, len(index), per_cell, ny, *codes.stride(),
             *directions.stride(), fixed, _BLOCK,
         )  # fmt: skip
     return rows

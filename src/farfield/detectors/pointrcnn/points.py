@@ -125,9 +125,9 @@ def first_of_bands(band: Tensor, shares: Sequence[float], budget: int) -> Tensor
     granted = torch.from_numpy(share_budget(available, shares, budget)).to(band.device)
     by_band = torch.argsort(band, stable=True)
     first = torch.from_numpy(np.cumsum(available) - available).to(band.device)
-    place = torch.empty_like(by_band)
-    place[by_band] = torch.arange(len(band), device=band.device)
-    return place - first[band] < granted[band]
+    rank = torch.empty_like(by_band)
+    rank[by_band] = torch.arange(len(band), device=band.device)
+    return rank - first[band] < granted[band]
 
 
 def prefix_rows(lengths: Sequence[int], count: int) -> tuple[list[int], list[int]]:
@@ -311,8 +311,8 @@ def first_pairs(keys: Tensor, points: int, limit: int, count: int) -> Groups:
     keys = sorted_keys(keys)
     centre = torch.div(keys, max(points, 1), rounding_mode="floor")
     size = torch.bincount(centre, minlength=count)
-    place = torch.arange(len(keys), device=keys.device) - (size.cumsum(0) - size)[centre]
-    keep = place < limit
+    rank = torch.arange(len(keys), device=keys.device) - (size.cumsum(0) - size)[centre]
+    keep = rank < limit
     centre = centre[keep]
     return Groups(centre, keys[keep] - centre * points, count)
 
@@ -348,12 +348,12 @@ def ball_query(
     sorted_points = points[order]
     pairs: list[list[Tensor]] = [[] for _ in radii_m]
     for part in chunks((high - low).sum(1), _CANDIDATES):
-        place, owner = expand_ranges(low[part].flatten(), high[part].flatten())
+        point, owner = expand_ranges(low[part].flatten(), high[part].flatten())
         centre = torch.div(owner, 3, rounding_mode="floor") + part.start
-        gap2 = (sorted_points[place] - centres[centre]).square_().sum(1)
+        gap2 = (sorted_points[point] - centres[centre]).square_().sum(1)
         for radius, keys in zip(radii_m, pairs, strict=True):
             near = torch.nonzero(gap2 <= radius * radius)[:, 0]
-            keys.append(centre[near] * n + order[place[near]])
+            keys.append(centre[near] * n + order[point[near]])
     return [first_pairs(torch.cat(keys), n, limit, m) for keys, limit in zip(pairs, limits, strict=True)]
 
 
@@ -461,8 +461,8 @@ def interpolate(values: Tensor, row: Tensor, weight: Tensor) -> Tensor:
         return values.new_zeros(len(row), values.shape[1]) + values.sum() * 0
     weight = weight.to(values.dtype)
     total = values.index_select(0, row[:, 0]) * weight[:, :1]
-    for place in (1, 2):
-        total = torch.addcmul(total, values.index_select(0, row[:, place]), weight[:, place, None])
+    for neighbour in (1, 2):
+        total = torch.addcmul(total, values.index_select(0, row[:, neighbour]), weight[:, neighbour, None])
     return total
 
 
@@ -512,12 +512,12 @@ def _of_one_frame(points: Tensor, rois: Tensor, context_m: float) -> list[tuple[
     high = torch.searchsorted(x, (rois[:, 0] + radius_m).contiguous(), right=True)
     pairs = []
     for part in chunks(high - low, _ROI_CANDIDATES):
-        place, roi = expand_ranges(low[part], high[part])
+        point, roi = expand_ranges(low[part], high[part])
         roi = roi + part.start
-        near = torch.nonzero((ranked[place, 1] - rois[roi, 1]).abs() <= radius_m[roi])[:, 0]
-        place, roi = place[near], roi[near]
-        inside = (in_roi_frames(ranked[place], rois[roi]).abs() <= half[roi]).all(1)
-        pairs.append((roi[inside], order[place[inside]]))
+        near = torch.nonzero((ranked[point, 1] - rois[roi, 1]).abs() <= radius_m[roi])[:, 0]
+        point, roi = point[near], roi[near]
+        inside = (in_roi_frames(ranked[point], rois[roi]).abs() <= half[roi]).all(1)
+        pairs.append((roi[inside], order[point[inside]]))
     return pairs
 
 

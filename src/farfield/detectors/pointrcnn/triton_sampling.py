@@ -28,12 +28,12 @@ def _farthest(columns, starts, lengths, gap2, chosen, total, count, block: tl.co
         best, winner = -1.0, 0
         for base in range(0, length, block):
             real = base + slot < length
-            place = start + base + slot
-            dx = tl.load(columns + place, mask=real, other=0.0) - x0
-            dy = tl.load(columns + total + place, mask=real, other=0.0) - y0
-            dz = tl.load(columns + 2 * total + place, mask=real, other=0.0) - z0
-            gap = tl.minimum(tl.load(gap2 + place, mask=real, other=0.0), dx * dx + dy * dy + dz * dz)
-            tl.store(gap2 + place, gap, mask=real)
+            row = start + base + slot
+            dx = tl.load(columns + row, mask=real, other=0.0) - x0
+            dy = tl.load(columns + total + row, mask=real, other=0.0) - y0
+            dz = tl.load(columns + 2 * total + row, mask=real, other=0.0) - z0
+            gap = tl.minimum(tl.load(gap2 + row, mask=real, other=0.0), dx * dx + dy * dy + dz * dz)
+            tl.store(gap2 + row, gap, mask=real)
             value, where = tl.max(tl.where(real, gap, -1.0), 0), tl.argmax(tl.where(real, gap, -1.0), 0)
             winner = tl.where(value > best, base + where, winner)
             best = tl.maximum(best, value)

@@ -211,9 +211,9 @@ def _reached(
     """
     frames = int(keys[-1]) // math.prod(shape) + 1 if len(keys) else 1
     narrow = torch.int32 if 2 * frames * max(math.prod(shape), math.prod(out_shape)) < 2**31 else torch.int64
-    cells, *place = decode_keys(keys.to(narrow), shape).unbind(1)
+    cells, *indices = decode_keys(keys.to(narrow), shape).unbind(1)
     phase, astray = torch.zeros_like(cells), {}
-    axes = zip(place, shape, out_shape, kernel, stride, padding, strict=True)
+    axes = zip(indices, shape, out_shape, kernel, stride, padding, strict=True)
     for axis, (index, inside, size, k, s, p) in enumerate(axes):
         index = index + p
         shift = s.bit_length() - 1  # an integer division takes ten times as long

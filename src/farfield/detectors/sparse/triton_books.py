@@ -54,7 +54,7 @@ def _met(  # type: ignore[no-untyped-def]
 
 @jit
 def _rows_kernel(  # type: ignore[no-untyped-def]
-    keys, sought, offsets, table, met, known, count, halvings, z_size, x_size, y_size, z_there, x_there, y_there,
+    keys, sought, offsets, table, met, known_count, count, halvings, z_size, x_size, y_size, z_there, x_there, y_there,
     z_step: tl.constexpr, x_step: tl.constexpr, y_step: tl.constexpr, back: tl.constexpr,
     size: tl.constexpr, wide: tl.constexpr, block: tl.constexpr, bits: tl.constexpr,
 ):  # fmt: skip
@@ -67,17 +67,17 @@ def _rows_kernel(  # type: ignore[no-untyped-def]
         z_step, x_step, y_step, back,
     )  # fmt: skip
     low = tl.zeros((block, wide), dtype=tl.int32)
-    high = low + known
+    high = low + known_count
     for _ in range(halvings):
         middle = (low + high) // 2
         undecided = low < high
         less = tl.load(keys + middle, mask=undecided, other=0) < query
         low = tl.where(undecided & less, middle + 1, low)
         high = tl.where(undecided & (less == 0), middle, high)
-    there = tl.load(keys + low, mask=low < known, other=-2)
+    there = tl.load(keys + low, mask=low < known_count, other=-2)
     hit = real & (there == query)
     entry = row.to(tl.int64)[:, None] * size + element[None, :]
-    tl.store(table + entry, tl.where(hit, low, known), mask=real)
+    tl.store(table + entry, tl.where(hit, low, known_count), mask=real)
     bit = tl.full((1, wide), 1, tl.int64) << (element % bits).to(tl.int64)[None, :]
     tl.store(met + row, tl.sum(tl.where(hit, bit, 0), axis=1), mask=row_in)
 

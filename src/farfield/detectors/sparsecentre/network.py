@@ -310,9 +310,9 @@ class CentreDiffusion(nn.Module):
         landed, stayed = torch.searchsorted(keys, voted), torch.searchsorted(keys, sparse.keys)
         features, _ = means_at(carried, landed, len(keys))
         features = features.index_add(0, stayed, sparse.features.to(features.dtype))
-        height, known = means_at(height_m[rows], landed, len(keys))
-        known = known.index_fill(0, stayed, True)
-        height = _spread(height.index_copy(0, stayed, height_m), known, keys, sparse.shape, self.ring)
+        height, has_height = means_at(height_m[rows], landed, len(keys))
+        has_height = has_height.index_fill(0, stayed, True)
+        height = _spread(height.index_copy(0, stayed, height_m), has_height, keys, sparse.shape, self.ring)
         grown = SparseTensor(features, keys, sparse.shape, sparse.batch_size, sparse.rulebooks)
         return DiffusedMap(grown, height, votes)
 
@@ -354,11 +354,11 @@ def means_at(values: Tensor, group: Tensor, count: int) -> tuple[Tensor, Tensor]
 
 
 def _spread(
-    height_m: Tensor, known: Tensor, keys: Tensor, shape: tuple[int, int, int], ring: list[tuple[int, int, int]]
+    height_m: Tensor, has_height: Tensor, keys: Tensor, shape: tuple[int, int, int], ring: list[tuple[int, int, int]]
 ) -> Tensor:
     """Give cells without a height the mean of their neighbours'."""
-    empty = (~known).nonzero().squeeze(1)
+    empty = (~has_height).nonzero().squeeze(1)
     table = neighbour_table(keys, keys[empty], shape, ring).long()
-    weight = torch.cat([known, known.new_zeros(1)]).to(height_m.dtype)[table]
+    weight = torch.cat([has_height, has_height.new_zeros(1)]).to(height_m.dtype)[table]
     around = torch.cat([height_m, height_m.new_zeros(1)])[table]
     return height_m.index_copy(0, empty, (around * weight).sum(1) / weight.sum(1).clamp(min=1))

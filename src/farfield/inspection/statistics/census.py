@@ -218,7 +218,7 @@ def _conditions(rows: Sequence[Mapping[str, str]]) -> dict[str, Shaped[np.ndarra
 class _CensusRows:
     """What some frames say."""
 
-    said: list[Mapping[str, str]] = field(default_factory=list)
+    conditions: list[Mapping[str, str]] = field(default_factory=list)
     objects: list[int] = field(default_factory=list)
     parts: list[Boxes] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
@@ -250,7 +250,7 @@ class _AnnotationReading:
         except (FarfieldError, OSError, ValueError) as error:
             rows.damaged.append(str(error))
             boxes = None
-        rows.said.append(conditions)
+        rows.conditions.append(conditions)
         rows.objects.append(-1 if boxes is None else len(boxes))
         rows.parts += [] if boxes is None else [boxes]
 
@@ -260,14 +260,14 @@ def _census_of_frames(dataset: Dataset, bulk: JobOptions) -> Census:
     for block in values(_AnnotationReading(dataset), blocks(len(dataset), _BLOCK), bulk):
         for name, column in vars(rows).items():
             column += getattr(block.value, name)
-    said, parts, names, sight, objects = rows.said, rows.parts, rows.names, rows.sight, rows.objects
+    conditions, parts, names, sight, objects = rows.conditions, rows.parts, rows.names, rows.sight, rows.objects
     counts = np.array(objects, dtype=np.int64)
     tracked = bool(parts) and all(part.track_id is not None for part in parts if len(part))
     together = Boxes.concatenate([part.plain() for part in parts])
     ids = [part.track_id for part in parts if part.track_id is not None and len(part)]
     return Census(
         sequence=np.array(dataset.sequences, dtype=np.str_),
-        conditions=_conditions(said),
+        conditions=_conditions(conditions),
         objects=counts,
         frame=np.repeat(np.arange(len(counts)), np.maximum(counts, 0)),
         name=np.array(names, dtype=np.str_),

@@ -425,7 +425,7 @@ def difference_of(a: Sequence[ScoreSample], b: Sequence[ScoreSample]) -> Differe
         raise ConfigError(
             f"expected two rows of as many seeds, at least one, got {len(a)} and {len(b)}: runs are paired"
         )
-    if len({each.drawn for each in (*a, *b)}) > 1:
+    if len({row.drawn for row in (*a, *b)}) > 1:
         raise ConfigError(
             "expected rows scored on the same frames with the same draws of their sequences, got different ones. Score "
             "both on one set, with equal replicates and seed"

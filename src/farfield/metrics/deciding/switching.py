@@ -25,11 +25,11 @@ class SwitchingResult:
     """What the rule gives.
 
     Args:
-        found: Every frame as the pattern saw it that was chosen for it.
+        detections: Every frame from the pattern that was chosen for it.
         choices: For each fold the pattern chosen by scenario, from the other folds.
     """
 
-    found: Detections
+    detections: Detections
     choices: tuple[Mapping[str, str], ...]
 
 
@@ -50,7 +50,7 @@ def best_by(
         protocol: The protocol or its name.
         **settings: Its settings.
     """
-    parted = {cloud: parts(each, (kind,)).get(kind, {}) for cloud, each in detections.items()}
+    parted = {cloud: parts(of_cloud, (kind,)).get(kind, {}) for cloud, of_cloud in detections.items()}
     chosen: dict[str, tuple[float, str]] = {}
     for cloud, values in parted.items():
         for value, part in values.items():
@@ -93,10 +93,10 @@ def switched(
     Raises:
         ConfigError: If the clouds' frames differ, a scenario is not known, or there are fewer drives than folds.
     """
-    counted = {cloud: each.counted() for cloud, each in detections.items()}
+    counted = {cloud: of_cloud.counted() for cloud, of_cloud in detections.items()}
     first = next(iter(counted.values()))
     keys = sorted(first.annotations, key=frame_order)
-    if any(set(each.annotations) != set(keys) for each in counted.values()):
+    if any(set(of_cloud.annotations) != set(keys) for of_cloud in counted.values()):
         raise ConfigError("switching: expected the same annotated frames of every cloud, got others")
     lacking = [key for key in keys if kind not in first.conditions.get(key, {})]
     if lacking:
@@ -109,12 +109,12 @@ def switched(
     choices, choice = [], dict[Key, str]()
     for number in range(folds):
         rest = {key for key, its in zip(keys, fold, strict=True) if its != number}
-        learnt = best_by({cloud: _only(each, rest) for cloud, each in counted.items()}, kind, **learning)
+        learnt = best_by({cloud: _only(of_cloud, rest) for cloud, of_cloud in counted.items()}, kind, **learning)
         choices.append(learnt)
         for key, its in zip(keys, fold, strict=True):
             if its == number:
                 choice[key] = learnt.get(first.conditions[key][kind], next(iter(detections)))
-    return SwitchingResult(found=switch(counted, choice), choices=tuple(choices))
+    return SwitchingResult(detections=switch(counted, choice), choices=tuple(choices))
 
 
 def _only(detections: Detections, keys: set[Key]) -> Detections:
@@ -146,6 +146,6 @@ def switching_gains(
     Returns:
         By cloud; see :func:`farfield.metrics.deciding.decide`.
     """
-    seeds = [dict(zip(runs, each, strict=True)) for each in zip(*runs.values(), strict=True)]
-    rule = [switched(run, kind, scalar=scalar, **settings).found for run in seeds]
-    return {cloud: difference(rule, each, scalar, replicates=replicates, **settings) for cloud, each in runs.items()}
+    seeds = [dict(zip(runs, of_seed, strict=True)) for of_seed in zip(*runs.values(), strict=True)]
+    rule = [switched(run, kind, scalar=scalar, **settings).detections for run in seeds]
+    return {cloud: difference(rule, fixed, scalar, replicates=replicates, **settings) for cloud, fixed in runs.items()}

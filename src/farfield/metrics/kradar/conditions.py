@@ -35,7 +35,7 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
     keys = list(keys)
     sequences = sorted({sequence for sequence, _ in keys})
     if path == PUBLISHED:
-        return {key: known for key in keys if (known := published_conditions(key[0]))}
+        return {key: conditions for key in keys if (conditions := published_conditions(key[0]))}
     path = Path(path)
     if path.is_dir():
         described = {name: _description(path, name) for name in sequences}
@@ -53,8 +53,8 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
 
 
 def _description(path: Path, name: str) -> Path | None:
-    places = [path / name / place for place in DESCRIPTIONS] if Path(name).name == name else []
-    return next((place for place in places if place.is_file()), None)
+    files = [path / name / file for file in DESCRIPTIONS] if Path(name).name == name else []
+    return next((file for file in files if file.is_file()), None)
 
 
 def _table(path: Path) -> dict[str, dict[str, str]]:

@@ -324,7 +324,7 @@ def _count(
     annotated: Int[np.ndarray, " g"],
 ) -> ThresholdCounts:
     total, groups = int(annotated.sum()), len(annotated)
-    thresholds, recalls = sample_thresholds(score[gain.found[rows]], total) if total else ([], [])
+    thresholds, recalls = sample_thresholds(score[gain.is_true[rows]], total) if total else ([], [])
     reached = np.searchsorted(-score, -np.array(thresholds, dtype=np.float64), side="right")
     step = np.repeat(np.arange(len(thresholds) + 1), np.diff(reached, prepend=0, append=len(rows)))
     cell, shape = step * groups + owner, (len(thresholds) + 1, groups)

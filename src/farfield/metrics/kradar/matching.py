@@ -24,12 +24,12 @@ class OverlapGains:
     Args:
         true: Change in true positives as the prediction is allowed, shape (n,).
         excused: Change in predictions taken by boxes that need not be found, shape (n,).
-        found: Predictions that are true if all are allowed and boxes choose by score, shape (n,).
+        is_true: Predictions that are true if all are allowed and boxes choose by score, shape (n,).
     """
 
     true: Int[np.ndarray, " n"]
     excused: Int[np.ndarray, " n"]
-    found: Bool[np.ndarray, " n"]
+    is_true: Bool[np.ndarray, " n"]
 
 
 def gains(
@@ -60,7 +60,7 @@ def gains(
     excused[detection[alone]] = optional[box[alone]]
     is_true[detection[alone]] = ~optional[box[alone]]
     if alone.all():
-        return OverlapGains(true=true, excused=excused, found=is_true)
+        return OverlapGains(true=true, excused=excused, is_true=is_true)
     rest = ~alone
     crowd = _ContestedPairs.of(
         box[rest], detection[rest], overlap[rest], frame=frame, optional=optional, score=score, order=order
@@ -74,7 +74,7 @@ def gains(
     leads[crowd.start] = True
     for total, gain in ((crowd.true, true), (crowd.excused, excused)):
         gain[crowd.detection] = total - np.where(leads, 0, np.roll(total, 1))
-    return OverlapGains(true=true, excused=excused, found=is_true)
+    return OverlapGains(true=true, excused=excused, is_true=is_true)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

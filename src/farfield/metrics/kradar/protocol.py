@@ -80,37 +80,39 @@ class KRadarProtocol(Protocol):
         """Settings that cannot be chosen."""
         return {}
 
-    def settings(self, detections: Detections, **given: Any) -> KRadarSettings:
+    def settings(self, detections: Detections, **options: Any) -> KRadarSettings:
         """The settings; unless given, the classes are those that the detector knows, as far as it says so.
 
         The coordinates of the boxes and the annotations' version are those of the detections. ``label`` is one class.
         """
-        label, relabel = given.pop("label", None), given.get("relabel", CIRRUS_FROM_ANY_KRADAR)
+        label, relabel = options.pop("label", None), options.get("relabel", CIRRUS_FROM_ANY_KRADAR)
         if label is not None:
-            given["classes"] = (relabel.get(label, label),)
+            options["classes"] = (relabel.get(label, label),)
         defaults: dict[str, Any] = {}
         if detections.classes and "classes" not in self.fixed:
             defaults["classes"] = tuple(dict.fromkeys(relabel.get(name, name) for name in detections.classes))
         if detections.reference:
             defaults["boxes_in"] = "radar" if detections.reference == "radar" else "os2-64"
             named = detections.reference in ("radar", "os2-64")
-            if named and given.get("boxes_in", detections.reference) != detections.reference:
+            if named and options.get("boxes_in", detections.reference) != detections.reference:
                 raise ConfigError(
                     f"boxes_in: expected {defaults['boxes_in']}, as the boxes say that they stand in the coordinates "
-                    f"of {detections.reference}; got {given['boxes_in']}. Leave boxes_in out"
+                    f"of {detections.reference}; got {options['boxes_in']}. Leave boxes_in out"
                 )
-        settings = kradar_settings(str(self), **{**defaults, **given})
+        settings = kradar_settings(str(self), **{**defaults, **options})
         version = detections.facts.get("label_version")
-        return replace(settings, label_version=version) if version and "label_version" not in given else settings
+        return replace(settings, label_version=version) if version and "label_version" not in options else settings
 
-    def labels(self, boxes: BoxesByFrame, **given: Any) -> tuple[str, ...]:
+    def labels(self, boxes: BoxesByFrame, **options: Any) -> tuple[str, ...]:
         """The classes of the settings that occur, the most frequent first."""
-        settings = kradar_settings(str(self), **{name: given[name] for name in ("relabel", "classes") if name in given})
+        settings = kradar_settings(
+            str(self), **{name: options[name] for name in ("relabel", "classes") if name in options}
+        )
         return tuple(name for name, _ in labels_of(boxes, settings.relabel) if name in settings.classes)
 
-    def each(self, detections: Detections, *, label: str | None = None, **given: Any) -> list[KRadarSettings]:
+    def each(self, detections: Detections, *, label: str | None = None, **options: Any) -> list[KRadarSettings]:
         """One result for all classes; refused if none of them is annotated but others are."""
-        settings = self.settings(detections, label=label, **given)
+        settings = self.settings(detections, label=label, **options)
         present = [name for name, _ in labels_of(detections.annotated, settings.relabel)]
         if present and not set(present) & set(settings.classes):
             raise ConfigError(

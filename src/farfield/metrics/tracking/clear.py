@@ -89,15 +89,15 @@ class FrameMatches:
     false: Bool[np.ndarray, " n"]
 
 
-def match(scene: TrackingScene, least: float, kept: Bool[np.ndarray, " n"] | None = None) -> FrameMatches:
+def match(scene: TrackingScene, least: float, taking_part: Bool[np.ndarray, " n"] | None = None) -> FrameMatches:
     """Match all frames.
 
     Args:
         scene: The boxes.
         least: Similarity that a match needs.
-        kept: Predicted boxes that take part; None for all.
+        taking_part: Predicted boxes that take part; None for all.
     """
-    takes_part = np.ones(len(scene.predicted), dtype=bool) if kept is None else kept
+    takes_part = np.ones(len(scene.predicted), dtype=bool) if taking_part is None else taking_part
     allowed = np.flatnonzero((scene.similarity >= least) & takes_part[scene.pair[:, 1]])
     a, b = scene.pair[allowed].T
     similarity = scene.similarity[allowed]

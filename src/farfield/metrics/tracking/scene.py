@@ -201,7 +201,7 @@ def collect_rows(
     if (twice[1] > 1).any():
         number, name = twice[0][np.flatnonzero(twice[1] > 1)[0]].tolist()
         raise ConfigError(f"{what}: expected each track once a frame, got track {name} twice in {keys[number]}")
-    names = {name: place for place, name in enumerate(dict.fromkeys(key[0] for key in keys))}
+    names = {name: index for index, name in enumerate(dict.fromkeys(key[0] for key in keys))}
     sequence = np.array([names[key[0]] for key in keys], dtype=np.int64)[frame]
     track = np.unique(np.column_stack([sequence, track_id]), axis=0, return_inverse=True)[1].reshape(-1)
     score = np.zeros(len(boxes)) if boxes.score is None else boxes.score
