@@ -5,7 +5,7 @@ sign turned, so that the features of both become alike. Both streams go through 
 """
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -42,7 +42,7 @@ class GradientReversal(Method):
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
         """The detector's losses on the source, and the judge's on both."""
-        network, labelled = self.modules["detector"], batch["source"]
+        network, labelled = cast(Network, self.modules["detector"]), batch["source"]
         features = network.encode(labelled.inputs + batch["target"].inputs)
         source, target = features.split(len(labelled))
         losses = network.losses(network.head(source, labelled.targets), labelled.targets)

@@ -6,10 +6,13 @@ convolution as an ordinary one, folding, and the two-dimensional backbone of Poi
 
 import copy
 import math
+from typing import Protocol, TypeGuard, TypeVar, runtime_checkable
 
 import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+AnyModule = TypeVar("AnyModule", bound=nn.Module)
 
 OPENPCDET_MOMENTUM = 0.01
 """Of batch normalisation, as OpenPCDet trains."""
@@ -27,8 +30,10 @@ def normalise_rows(norm: nn.Module, features: Tensor) -> Tensor:
     return normalised
 
 
-def affine(norm: nn.Module) -> tuple[Tensor, Tensor]:
+def affine(norm: nn.BatchNorm1d | nn.BatchNorm2d | nn.BatchNorm3d) -> tuple[Tensor, Tensor]:
     """Scale and shift, shape (c,) each, of a batch normalisation in evaluation mode."""
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
     scale = torch.rsqrt(norm.running_var + norm.eps)
     if norm.weight is not None:
         scale = scale * norm.weight
@@ -82,7 +87,7 @@ class Upsampling(nn.Module):
         return upsampling.to(layer.weight.device)
 
     @staticmethod
-    def fits(layer: nn.Module) -> bool:
+    def fits(layer: nn.Module) -> TypeGuard[nn.ConvTranspose2d]:
         """Whether :meth:`of` can express a layer."""
         if not isinstance(layer, nn.ConvTranspose2d) or layer.groups != 1 or layer.stride[0] != layer.stride[1]:
             return False
@@ -115,7 +120,15 @@ _CONVOLUTIONS = (nn.Conv1d, nn.Conv2d, nn.Conv3d, nn.ConvTranspose2d)
 _NORMS = (nn.BatchNorm1d, nn.BatchNorm2d, nn.BatchNorm3d)
 
 
-def fold_batch_norm(model: nn.Module) -> nn.Module:
+@runtime_checkable
+class Foldable(Protocol):
+    """A module that folds its normalisation by itself."""
+
+    def fold_norm(self) -> None:
+        """Fold each normalisation into the layer before it, in place."""
+
+
+def fold_batch_norm(model: AnyModule) -> AnyModule:
     """Return an evaluation-mode copy in which every (convolution or linear layer, batch norm) pair is one layer.
 
     Adjacent pairs inside ``nn.Sequential`` count, and whatever a module with a method ``fold_norm`` folds by itself. A
@@ -125,7 +138,7 @@ def fold_batch_norm(model: nn.Module) -> nn.Module:
     for module in list(folded.modules()):
         if isinstance(module, nn.Sequential):
             _fold_sequence(module)
-        elif hasattr(module, "fold_norm"):
+        elif isinstance(module, Foldable):
             module.fold_norm()
     return folded
 

@@ -124,7 +124,7 @@ class Network(nn.Module, ABC):
         """Which columns of the input the first tensors read: what loading weights of other columns goes by."""
         return {}
 
-    @final
+    @final  # type: ignore[misc]  # torch declares an attribute
     def forward(self, batch: Mapping[str, list[Tensor]], targets: Sequence[Any] | None = None) -> Any:
         """Outputs of the head for a batch; see :meth:`encode`."""
         return self.head(self.encode(batch), targets)

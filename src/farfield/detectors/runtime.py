@@ -184,7 +184,8 @@ class Detector:
         own = tuple(network.config.class_names)
         self.chosen = None if classes is None else ChosenClasses.of(classes, own, max_boxes or network.config.max_boxes)
         with fitting(_TOO_LARGE):
-            network = fold_batch_norm(network).to(self.device, memory_format=torch.channels_last)
+            network = fold_batch_norm(network)
+            network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch lacks it
         for name in network.low_precision if self.precision != "fp32" else ():
             network.get_submodule(name).to(DTYPES[self.precision])
         self.network = network

@@ -113,7 +113,9 @@ class AnchorHead(nn.Conv2d):
         channels = [*logits, *(AnchorRow(*slot, number) for number in range(_BOX_NUMBERS) for slot in slots)]
         return {"weight": (0, channels), "bias": (0, channels)}
 
-    def forward(self, features: FeatureMap, targets: Sequence[AnchorTargets] | None = None) -> AnchorMaps:
+    def forward(  # type: ignore[override]  # a convolution for the names of its weights alone
+        self, features: FeatureMap, targets: Sequence[AnchorTargets] | None = None
+    ) -> AnchorMaps:
         """Outputs for each anchor, in the order of the anchor grid; targets are not looked at."""
         del targets
         image = in_type_of(self, features.dense)

@@ -9,7 +9,7 @@ number of cells, and convolutions that a normalisation follows have no bias, whi
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import torch
 from pydantic import Field
@@ -132,13 +132,22 @@ class RadarBackbone(nn.Module):
         self.neck = RadarNeck(widths, [2**n for n in range(len(widths))], neck_width, overlap=True)
         self.channels = self.neck.channels
 
+    @property
+    def _first(self) -> SparseBlock:
+        return cast(SparseBlock, cast(SparseSequential, self.stages[0])[0])
+
+    def _branches(self) -> list[tuple[SparseSequential, SparseBlock]]:
+        """Each stage with the block that collapses its cells to the bird's-eye map."""
+        branches = zip(self.stages, self.to_bev, strict=True)
+        return [(cast(SparseSequential, stage), cast(SparseBlock, collapse)) for stage, collapse in branches]
+
     def forward(self, cells: SparseTensor) -> Tensor:
         """Occupied cells to a bird's-eye map (b, channels, nx, ny)."""
         cells = dataclasses.replace(cells, close=True)
         if self.execution == "sparse" or (self.execution == "auto" and not _convolves_fast(cells.features)):
             return self._sparse(cells)
         occupied = occupied_map(cells)
-        if self.execution == "dense" or self._fills(cells, _reached(occupied, self.stages[0][0].conv)):
+        if self.execution == "dense" or self._fills(cells, _reached(occupied, self._first.conv)):
             return self._dense(cells, occupied)
         return self._sparse(cells)
 
@@ -147,17 +156,17 @@ class RadarBackbone(nn.Module):
         count, size = int(reached.sum()), reached.numel()
         if self.training:
             return count >= DENSE_SHARE["training"] * size
-        if self.stages[0][0].conv.by_table(cells):
+        if self._first.conv.by_table(cells):
             has_matrix_tiles = getattr(torch.cpu, "_is_amx_tile_supported", bool)()
             return count >= DENSE_SHARE["tables, matrix tiles" if has_matrix_tiles else "tables"] * size
         return count >= min(DENSE_SHARE["pairs"] * size, DENSE_CELLS)
 
     def _sparse(self, sparse: SparseTensor) -> Tensor:
         maps, cells = [], sparse
-        for stage, collapse in zip(self.stages, self.to_bev, strict=True):  # as in SparseSequential: searches first
+        for stage, collapse in self._branches():  # as in SparseSequential: searches first
             cells = stage.plan(cells)
             collapse.plan(cells)
-        for stage, collapse in zip(self.stages, self.to_bev, strict=True):
+        for stage, collapse in self._branches():
             sparse = stage(sparse)
             maps.append(collapse(sparse).dense().squeeze(2))
         out: Tensor = self.neck(maps)
@@ -165,9 +174,9 @@ class RadarBackbone(nn.Module):
 
     def _dense(self, cells: SparseTensor, occupied: Tensor) -> Tensor:
         volume, maps = cells.dense(), []
-        for stage, collapse in zip(self.stages, self.to_bev, strict=True):
+        for stage, collapse in self._branches():
             for block in stage:
-                volume, occupied = dense_block(block, volume, occupied)
+                volume, occupied = dense_block(cast(SparseBlock, block), volume, occupied)
             maps.append(dense_block(collapse, volume, occupied)[0].squeeze(2))
         out: Tensor = self.neck(maps)
         return out

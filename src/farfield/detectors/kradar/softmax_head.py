@@ -167,9 +167,10 @@ class SoftmaxHead(nn.Module):
         self.classes = nn.Conv2d(c_in, 1 + grid.per_cell, 1)
         self.boxes_of_anchors = nn.Conv2d(c_in, _NUMBERS * grid.per_cell, 1)
         if not self.classes.weight.is_meta:
-            nn.init.zeros_(self.classes.bias)
             nn.init.normal_(self.boxes_of_anchors.weight, std=0.01)
-            nn.init.zeros_(self.boxes_of_anchors.bias)
+            for layer in (self.classes, self.boxes_of_anchors):
+                if layer.bias is not None:
+                    nn.init.zeros_(layer.bias)
 
     def class_rows(self) -> ClassRows:
         """What each output channel is: the background or an anchor, and of an anchor one of the numbers of its box."""

@@ -10,7 +10,7 @@ stage also reads the proposal's size.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -43,6 +43,7 @@ from farfield.detectors.pointrcnn.boxes import (
 )
 from farfield.detectors.pointrcnn.pointnet import (
     BackboneConfig,
+    FeaturePropagation,
     PointNet2,
     SetAbstraction,
     SetAbstractionConfig,
@@ -127,7 +128,7 @@ class Refinement(nn.Module):
         rows = self.local(torch.cat([local, extra], 1))
         rows = self.merge(torch.cat([semantic.to(rows.dtype), rows], 1))
         for level in self.levels:
-            chosen, counts = farthest_points(local, lengths, level.config.centres)
+            chosen, counts = farthest_points(local, lengths, cast(SetAbstraction, level).config.centres)
             centres = local[chosen]
             rows, local, lengths = level(local, rows, lengths, centres, counts), centres, counts
         owner = frame_rows(lengths, local.device)
@@ -246,9 +247,10 @@ class PointRCNN(Network):
         self.segmentation = nn.Sequential(SharedMlp(widths), nn.Linear(config.head_width, classes))
         self.generation = nn.Sequential(SharedMlp(widths), nn.Linear(config.head_width, config.bins.numbers))
         self.refinement = Refinement(self.backbone.channels, classes, config.refinement)
-        nn.init.constant_(self.segmentation[-1].bias, -float(np.log((1 - 0.01) / 0.01)))  # few points are foreground
+        # Few points are foreground.
+        nn.init.constant_(cast(nn.Linear, self.segmentation[-1]).bias, -float(np.log((1 - 0.01) / 0.01)))
         for head in (self.segmentation, self.generation, self.refinement.box):
-            nn.init.normal_(head[-1].weight, std=0.01)
+            nn.init.normal_(cast(nn.Linear, head[-1]).weight, std=0.01)
 
         self.channels = self.backbone.channels
         self.assigner = PointAssigner(
@@ -269,11 +271,13 @@ class PointRCNN(Network):
         columns, last = tuple(self.config.inputs), len(self.backbone.propagations) - 1
         if not columns:
             return {}
+        scales = len(cast(SetAbstraction, self.backbone.abstractions[0]).mlps)
         first = {
             f"backbone.abstractions.0.mlps.{number}.linears.0.weight": (1, ("dx", "dy", "dz", *columns))
-            for number in range(len(self.backbone.abstractions[0].mlps))
+            for number in range(scales)
         }
-        coarse = tuple(f"coarse {number}" for number in range(self.backbone.propagations[last].c_coarse))
+        propagation = cast(FeaturePropagation, self.backbone.propagations[last])
+        coarse = tuple(f"coarse {number}" for number in range(propagation.c_coarse))
         return {**first, f"backbone.propagations.{last}.mlp.linears.0.weight": (1, (*coarse, *columns))}
 
     def encode(self, batch: Mapping[str, list[Tensor]]) -> PointFeatures:

@@ -7,7 +7,7 @@ Normalisation counts each neighbour once; where the original fills groups up wit
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple, cast
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -86,8 +86,11 @@ class SharedMlp(nn.Module):
     @property
     def dtype(self) -> torch.dtype:
         """Type of the weights, to which inputs are cast."""
-        first: Tensor = self.linears[0].weight
-        return first.dtype
+        return self._first.weight.dtype
+
+    @property
+    def _first(self) -> nn.Linear:
+        return cast(nn.Linear, self.linears[0])
 
     def forward(self, rows: Tensor) -> Tensor:
         """Rows (n, c_in) to rows (n, c_out)."""
@@ -95,12 +98,12 @@ class SharedMlp(nn.Module):
 
     def first(self, rows: Tensor, columns: slice) -> Tensor:
         """The part of the first layer that reads these columns of the input; the bias is left to ``after_first``."""
-        return functional.linear(rows.to(self.dtype), self.linears[0].weight[:, columns])
+        return functional.linear(rows.to(self.dtype), self._first.weight[:, columns])
 
     def after_first(self, rows: Tensor, *, bias: bool = False) -> Tensor:
         """Everything after the first layer; ``bias`` adds that layer's, which :meth:`first` leaves out."""
-        if bias and self.linears[0].bias is not None:
-            rows = rows + self.linears[0].bias
+        if bias and self._first.bias is not None:
+            rows = rows + self._first.bias
         rows = functional.relu(normalise_rows(self.norms[0], rows))
         for linear, norm in zip(self.linears[1:], self.norms[1:], strict=True):
             rows = functional.relu(normalise_rows(norm, linear(rows.to(self.dtype))))
@@ -144,7 +147,7 @@ class SetAbstraction(nn.Module):
         pooled = []
         for mlp, radius, group in zip(self.mlps, config.radii_m, groups, strict=True):
             offset = (xyz.index_select(0, group.point) - centres.index_select(0, group.centre)) / radius
-            pooled.append(pool_group(mlp, group, offset, features))
+            pooled.append(pool_group(cast(SharedMlp, mlp), group, offset, features))
         return torch.cat(pooled, 1)
 
 

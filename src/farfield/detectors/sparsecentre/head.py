@@ -8,7 +8,7 @@ cells.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import normaliser
 from farfield.detectors.network import ClassRows
 from farfield.detectors.nms import boxes_after_nms, rotated_nms, wrap_angle
-from farfield.detectors.sparse import FLAT, SubmanifoldConv, decode_keys, neighbour_table, normalised
+from farfield.detectors.sparse import FLAT, SparseTensor, SubmanifoldConv, decode_keys, neighbour_table, normalised
 from farfield.geometry.boxes import Boxes
 from farfield.vocabulary.classes import CIRRUS_SIZES_M
 
@@ -328,9 +328,9 @@ class CentreHead(nn.Module):
         """
         del targets
         sparse = features.sparse.replace(in_type_of(self, features.sparse.features))
-        votes, height_m = features.aux["votes"], features.aux["height_m"]
+        votes, heights = (cast(SparseTensor, features.aux[name]) for name in ("votes", "height_m"))
         logits, codes = self.heat(self.heat_stem(sparse).features), self.box(self.box_stem(sparse).features)
-        height_m = height_m.features.squeeze(1)
+        height_m = heights.features.squeeze(1)
         return CentreMaps(logits, codes, height_m, sparse.keys, votes.features, votes.keys, sparse.batch_size)
 
     def places_m(self, keys: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,12 +9,13 @@ one up to rounding with the same weights: in evaluation, in training (the statis
 gradients.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from farfield.detectors.layers import affine
 from farfield.detectors.losses import process_count, sum_over_processes
 from farfield.detectors.sparse import SparseConv, SparseTensor, sparse_conv
 from farfield.detectors.sparse.cells import Triple, decode_keys
@@ -95,7 +96,7 @@ class MiddleLayer(nn.Module):
     def fold_norm(self) -> None:
         """Move the normalisation of evaluation mode into the convolution, in place."""
         if isinstance(self.norm, nn.BatchNorm3d):
-            scale, shift = _affine(self.norm, self.norm.running_mean, self.norm.running_var)
+            scale, shift = affine(self.norm)
             self.conv.weight.mul_(scale)
             self.conv.bias = nn.Parameter(shift.clone())
             self.norm = nn.Identity()
@@ -120,7 +121,7 @@ class MiddleLayer(nn.Module):
             shift = torch.zeros_like(one) if bias is None else bias.float()
             return _shifted_relu(values, ground, ground_cell, one, shift)
         if not norm.training:
-            return _shifted_relu(values, ground, ground_cell, *_affine(norm, norm.running_mean, norm.running_var))
+            return _shifted_relu(values, ground, ground_cell, *affine(norm))
         out: tuple[Tensor, ...] = _NormRelu.apply(values, ground, norm.weight, norm.bias, ground_cell, share, norm.eps)
         _update(norm, out[2], out[3], process_count() * (len(ground_cell) + float(share.sum())))
         return out[0], out[1]
@@ -168,7 +169,7 @@ class MiddleLayers(nn.Module):
     def _dense(self, voxels: SparseTensor) -> Tensor:
         volume = voxels.dense().to(next(self.parameters()).dtype)
         for layer in self.layers:
-            volume = layer.dense(volume)
+            volume = cast(MiddleLayer, layer).dense(volume)
         image = volume.transpose(1, 2).flatten(1, 2)
         return image.contiguous(memory_format=torch.channels_last)
 
@@ -234,12 +235,6 @@ def _places(keys: Tensor, shape: Triple, batch_size: int, small: torch.Size) -> 
     return ground_cell, share.double()
 
 
-def _affine(norm: nn.BatchNorm3d, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
-    """Scale and shift that normalise with this mean and variance."""
-    scale = norm.weight * torch.rsqrt(variance + norm.eps)
-    return scale, norm.bias - mean * scale
-
-
 def _shifted_relu(
     values: Tensor, ground: Tensor, ground_cell: Tensor, scale: Tensor, shift: Tensor
 ) -> tuple[Tensor, Tensor]:
@@ -253,6 +248,9 @@ def _shifted_relu(
 @torch.no_grad()
 def _update(norm: nn.BatchNorm3d, mean: Tensor, variance: Tensor, count: float) -> None:
     """Move the running statistics as ``nn.BatchNorm3d`` does."""
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
+    assert norm.num_batches_tracked is not None
     norm.num_batches_tracked += 1
     share = 1 / float(norm.num_batches_tracked) if norm.momentum is None else norm.momentum
     norm.running_mean.lerp_(mean, share)

@@ -154,6 +154,8 @@ class PointLayer(nn.Module):
         """Map (n, c_in) to (n, c_out). One point alone has no variance: it uses the running statistics."""
         norm, out = self.norm, self.linear(features)
         if isinstance(norm, nn.BatchNorm1d) and norm.training and len(out) < 2:
+            assert norm.running_mean is not None
+            assert norm.running_var is not None
             scale = norm.weight * torch.rsqrt(norm.running_var + norm.eps)
             return torch.relu((out - norm.running_mean) * scale + norm.bias)
         return torch.relu(norm(out))

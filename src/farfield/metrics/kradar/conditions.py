@@ -35,7 +35,7 @@ def read_conditions(path: Path | str, keys: Iterable[Key]) -> dict[Key, dict[str
     keys = list(keys)
     sequences = sorted({sequence for sequence, _ in keys})
     if path == PUBLISHED:
-        return {key: conditions for key in keys if (conditions := published_conditions(key[0]))}
+        return {key: published for key in keys if (published := published_conditions(key[0]))}
     path = Path(path)
     if path.is_dir():
         described = {name: _description(path, name) for name in sequences}
