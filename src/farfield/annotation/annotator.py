@@ -222,7 +222,9 @@ class Annotator:
             group: Joins the proposals of several frames, which are taken back together.
         """
         key = self.store.keys[index]
-        present = _boxes_of([row.label.box for row in self.store.rows(key)])
+        # A size that is not positive becomes 1 mm.
+        table = np.array([row.label.box for row in self.store.rows(key)], dtype=np.float64).reshape(-1, 7)
+        present = Boxes(centre_m=table[:, :3], size_m=np.maximum(table[:, 3:6], 1e-3), yaw_rad=table[:, 6])
         if len(present) and len(boxes):
             boxes = boxes[pairwise_iou(boxes, present, kind="bev").max(axis=1) < _SAME_IOU]
         proposals = [self._proposal(boxes, row) for row in range(len(boxes))]
@@ -448,12 +450,6 @@ def box_numbers(boxes: Boxes, row: int) -> Numbers:
     """Centre, size and yaw of one box: x, y, z, length, width, height, yaw."""
     x, y, z, length, width, height, yaw = map(float, (*boxes.centre_m[row], *boxes.size_m[row], boxes.yaw_rad[row]))
     return x, y, z, length, width, height, yaw
-
-
-def _boxes_of(rows: Sequence[Numbers]) -> Boxes:
-    """Rows of seven numbers as boxes; a size that is not positive becomes 1 mm."""
-    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
-    return Boxes(centre_m=table[:, :3], size_m=np.maximum(table[:, 3:6], 1e-3), yaw_rad=table[:, 6])
 
 
 def _points_m(frame: Frame) -> Float[np.ndarray, "n 3"]:

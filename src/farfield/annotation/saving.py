@@ -221,7 +221,10 @@ def _current(store: Store, path: Path, keys: Sequence[Key] | None) -> bytes | No
 
 def _updated(target: Path, data: bytes | None) -> bool:
     """Write a file where it differs, without waiting for the disk; whether it did."""
-    differs = _differs(target, data)
+    if data is None or not target.is_file():
+        differs = target.is_file() != (data is not None)
+    else:
+        differs = target.stat().st_size != len(data) or read_bytes(target) != data
     if differs and data is None:
         target.unlink()
     elif differs and data is not None:
@@ -274,12 +277,6 @@ def save_place(store: Store) -> Path | None:
     beside = root.with_name(f"{root.name}-edited")
     inside = store.folder.parent == root.resolve() and os.access(root.resolve().parent, os.W_OK)
     return beside if inside else store.folder / "saved"
-
-
-def _differs(path: Path, data: bytes | None) -> bool:
-    if data is None or not path.is_file():
-        return path.is_file() != (data is not None)
-    return path.stat().st_size != len(data) or read_bytes(path) != data
 
 
 def _write_or_remove(path: Path, data: bytes | None) -> None:

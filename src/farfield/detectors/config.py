@@ -242,10 +242,6 @@ def _check(value: Any, path: str) -> None:
         for item in value:
             _check(item, path)
     elif isinstance(value, int | float) and any(part.endswith("_m") for part in path.split(".")):
-        _check_length(float(value), path)
-
-
-def _check_length(value: float, path: str) -> None:
-    lowest = SMALLEST_M if set(path.split(".")) & set(_EXTENTS) else -FARTHEST_M
-    if not (math.isfinite(value) and lowest <= value <= FARTHEST_M):
-        raise ValueError(f"{path}: expected {lowest:g} to {FARTHEST_M:g} m, got {value:g}")
+        lowest = SMALLEST_M if set(path.split(".")) & set(_EXTENTS) else -FARTHEST_M
+        if not (math.isfinite(value) and lowest <= value <= FARTHEST_M):
+            raise ValueError(f"{path}: expected {lowest:g} to {FARTHEST_M:g} m, got {float(value):g}")

@@ -142,7 +142,11 @@ def import_openpcdet(
     problems = [f"  missing: {key}" for key in missing]
     problems += [f"  unknown: {key}" for key in unknown if not allow_unknown]
     ours = {} if missing else {rule.ours: rule.convert(*(state[key] for key in rule.theirs)) for rule in plan}
-    problems += [_misfit(rule, ours[rule.ours], expected[rule.ours]) for rule in plan if _misfits(rule, ours, expected)]
+    problems += [
+        _misfit(rule, ours[rule.ours], expected[rule.ours])
+        for rule in plan
+        if rule.ours in ours and ours[rule.ours].shape != expected[rule.ours].shape
+    ]
     if problems:
         hint = "" if missing or allow_unknown else "\nUnknown keys can be left out (--allow-unknown)."
         raise ConfigError(f"{path}: not the {kind} that the settings describe:\n" + "\n".join(problems) + hint)
@@ -206,10 +210,6 @@ def _reason_to_ignore(key: str) -> str | None:
     if key.startswith("dense_head.anchors"):
         return "anchors follow from the settings"
     return None
-
-
-def _misfits(rule: Rule, ours: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> bool:
-    return rule.ours in ours and ours[rule.ours].shape != expected[rule.ours].shape
 
 
 def _misfit(rule: Rule, converted: Tensor, expected: Tensor) -> str:

@@ -43,7 +43,8 @@ def fault_of(item: Mapping[str, Any]) -> str:
     expected = _expected(kind, limits)
     if not expected:
         return str(item["msg"]).replace("Input should be", "expected").replace("Value error, ", "")
-    return f"expected {expected}, got {_short(item.get('input'))}"
+    text = repr(item.get("input"))
+    return f"expected {expected}, got {text if len(text) <= 80 else text[:77] + '...'}"
 
 
 def _placed(item: Mapping[str, Any]) -> str:
@@ -103,11 +104,6 @@ def _json_fault(error: Any) -> str:
         return "an empty file"
     words = next((words for begin, words in _JSON_WORDS.items() if str(error.msg).startswith(begin)), "no JSON there")
     return f"a fault in line {error.lineno}, column {error.colno}: {words}"
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 # Optional dependencies: which extra each belongs to, and how to install it beside this very copy of Farfield.

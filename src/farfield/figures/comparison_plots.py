@@ -79,7 +79,9 @@ def points_in_vehicles(sides: Sequence[ComparedDataset]) -> "Figure | None":
     ]
     if not drawn:
         return None
-    overlaid = any(_is_known(cloud["points_in_vehicles"]) for (_, _, cloud, *_), _ in drawn)
+    fits = [cloud["points_in_vehicles"] for (_, _, cloud, *_), _ in drawn]
+    # Boxes are enough for a median or a line.
+    overlaid = any(fit["slope"] is not None or any(count >= LEAST_BOXES for count in fit["boxes"]) for fit in fits)
     count = len(drawn) + overlaid
     columns = min(count, 2 if count in (2, 4) else 3)
     rows = -(-count // columns)
@@ -113,11 +115,6 @@ def points_in_vehicles(sides: Sequence[ComparedDataset]) -> "Figure | None":
             panels[len(drawn)].set_title("Medians and lines together\n")
             _legend(figure, panels[len(drawn)])
     return figure
-
-
-def _is_known(fit: Mapping[str, Any]) -> bool:
-    """Whether boxes are enough for a median or a line."""
-    return fit["slope"] is not None or any(boxes >= LEAST_BOXES for boxes in fit["boxes"])
 
 
 def _draw_boxes(axes: "Axes", boxes: Mapping[str, np.ndarray], colours: str) -> None:
@@ -420,13 +417,11 @@ def from_above(sides: Sequence[ComparedDataset]) -> "Figure | None":
                 axes.add_patch(_circle(reach_m, INK, (0, (4, 2)), 1.0))
             axes.set(xlim=(window_m, -window_m), ylim=(-window_m, window_m), aspect="equal")  # y points left
             axes.set(xlabel="y (m)", ylabel="x (m)")
-            axes.set_title(_sweep_title(side, name, reach_m))
+            title = f"{side.title}, {name}"
+            if reach_m is not None:
+                title += f"\n{reach_m:.0f} m: {reaction_s(reach_m):.1f} s at {SPEED_MPH:.0f} mph"
+            axes.set_title(title)
     return figure
-
-
-def _sweep_title(side: ComparedDataset, name: str, reach_m: float | None) -> str:
-    title = f"{side.title}, {name}"
-    return title if reach_m is None else f"{title}\n{reach_m:.0f} m: {reaction_s(reach_m):.1f} s at {SPEED_MPH:.0f} mph"
 
 
 def _circle(radius: float, colour: str, dash: Any, width: float) -> Any:

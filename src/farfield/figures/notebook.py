@@ -122,12 +122,10 @@ def _table(boxes: Boxes) -> str:
     order = np.arange(len(boxes)) if boxes.score is None else np.argsort(-boxes.score, kind="stable")
     columns = boxes.columns()
     head = "".join(f"<th>{escape(name)}</th>" for name in columns)
-    rows = "".join(
-        f"<tr>{''.join(f'<td>{_cell(column[row])}</td>' for column in columns.values())}</tr>" for row in order[:_ROWS]
-    )
+    rows = ""
+    for row in order[:_ROWS]:
+        values = [column[row] for column in columns.values()]
+        cells = [f"{value:.2f}" if isinstance(value, np.floating) else escape(str(value)) for value in values]
+        rows += f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
     more = f"<p>and {len(boxes) - _ROWS} more</p>" if len(boxes) > _ROWS else ""
     return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{more}"
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.2f}" if isinstance(value, np.floating) else escape(str(value))

@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 
 from farfield.figures.style import INK, MUTED, PATTERNS, house_style, new_figure
 from farfield.geometry.cameras import Camera
-from farfield.inspection.placement import RigPlacement, SensorPlacement
+from farfield.inspection.placement import RigPlacement
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,10 @@ def _draw_sensors(
         lower = sum(bool(np.linalg.norm(at - other) < 0.15 * size) for other in drawn_at)
         drawn_at.append(at)
         anchor, below = (float(at[0]), float(at[1])), (6, -10 - 11 * lower)
-        axes.annotate(_sensor_name(sensor), anchor, below, textcoords="offset points", fontsize=7.5, color=INK)
+        shown = ", ".join(sensor.names[:_MOST_NAMES]) + (", ..." if len(sensor.names) > _MOST_NAMES else "")
+        x, y, z = sensor.frame_T_sensor[:3, 3]
+        text = f"{shown} ({x:.2f}, {y:.2f}, {z:.2f})"
+        axes.annotate(text, anchor, below, textcoords="offset points", fontsize=7.5, color=INK)
     spread = np.array([sensor.frame_T_sensor[rows, 3] for sensor in placement.sensors] + [np.zeros(2)])
     middle, half_m = (spread.min(axis=0) + spread.max(axis=0)) / 2, 0.5 * size + 0.35 * size
     low, high = middle - half_m, middle + half_m
@@ -65,12 +68,6 @@ def _draw_sensors(
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")
     axes.grid(True)
-
-
-def _sensor_name(sensor: SensorPlacement) -> str:
-    shown = ", ".join(sensor.names[:_MOST_NAMES]) + (", ..." if len(sensor.names) > _MOST_NAMES else "")
-    x, y, z = sensor.frame_T_sensor[:3, 3]
-    return f"{shown} ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 # Pictures of a calibration before and after: edges in the image, both sensors from above.

@@ -186,7 +186,11 @@ def condition_tables(
     tables = []
     for kind in (kind for kind in kinds if kind in _HEADS):
         title, head = _HEADS[kind]
-        values = [value for value in _names(parts, ("conditions", kind)) if _has_frames(parts, kind, value)]
+        values = [
+            value
+            for value in _names(parts, ("conditions", kind))
+            if any(at(part, ("counts", kind, value, "frames")) != 0 for part in parts.values())
+        ]
         if not values:
             continue
         rows = []
@@ -198,11 +202,6 @@ def condition_tables(
             ]
         tables.append((title, head, rows))
     return tables
-
-
-def _has_frames(parts: Parts, kind: str, value: str) -> bool:
-    """Whether a part has frames, or nothing says how many it has."""
-    return any(at(part, ("counts", kind, value, "frames")) != 0 for part in parts.values())
 
 
 def _condition(
@@ -238,7 +237,9 @@ def class_rows(parts: Parts, names: Sequence[str], protocol: Protocol) -> list[P
         names: Figures to take.
         protocol: Says in which units they are shown.
     """
-    present = [name for label in _names(parts, ("classes",)) for name in _figure_names(parts, label)]
+    labels = _names(parts, ("classes",))
+    nodes = [at(part, ("classes", label, "figures")) for label in labels for part in parts.values()]
+    present = [name for node in nodes if isinstance(node, Mapping) for name in node]
     chosen = [name for name in names if name in present] or list(dict.fromkeys(present))
     rows = []
     for label in _names(parts, ("classes",)):
@@ -277,11 +278,6 @@ def _class_row(row: Any, title: str, result: str, shown: Sequence[str], protocol
 def _names(parts: Parts, path: Sequence[str]) -> list[str]:
     nodes = [at(part, path) for part in parts.values()]
     return list(dict.fromkeys(name for node in nodes if isinstance(node, Mapping) for name in node))
-
-
-def _figure_names(parts: Parts, label: str) -> list[str]:
-    nodes = [at(part, ("classes", label, "figures")) for part in parts.values()]
-    return [name for node in nodes if isinstance(node, Mapping) for name in node]
 
 
 def _interval(drawn: Any, name: str) -> tuple[float, float] | None:

@@ -133,17 +133,15 @@ def parse_decimals(data: bytes, *, columns: int, separator: bytes) -> Float[np.n
     line_ends = text == _NEWLINE
     breaks = np.flatnonzero(line_ends | (text == separator[0]))
     ends = np.append(breaks, len(text))
-    if len(ends) % columns or not _in_rows(line_ends, breaks, columns):
+    if len(ends) % columns:
+        return None
+    # Every line ends after as many numbers, and none before.
+    ending = line_ends[breaks]
+    if not ending[columns - 1 :: columns].all() or ending.sum() != len(ending[columns - 1 :: columns]):
         return None
     starts = np.concatenate([[0], breaks + 1])
     values = _values(text, starts, ends - starts)
     return None if values is None else values.reshape(-1, columns)
-
-
-def _in_rows(line_ends: np.ndarray, breaks: Int[np.ndarray, " m"], columns: int) -> bool:
-    """Whether every line ends after as many numbers, and none before."""
-    ending = line_ends[breaks]
-    return bool(ending[columns - 1 :: columns].all()) and int(ending.sum()) == len(ending[columns - 1 :: columns])
 
 
 def _values(

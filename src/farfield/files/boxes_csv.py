@@ -102,7 +102,9 @@ def parse_boxes_csv(data: bytes, path: Path | str) -> BoxRows:
         for name, text in zip(header, row, strict=True):
             text = text.strip()
             if name in texts:
-                texts[name].append(interned.setdefault(text, text) if text else _missing(path, line, name))
+                if not text:
+                    raise _wrong(path, line, f"a {name}", "an empty cell")
+                texts[name].append(interned.setdefault(text, text))
             else:
                 numbers[name].append(_number(path, line, name, text))
     return _assemble(path, texts, {name: np.array(values, dtype=np.float64) for name, values in numbers.items()})
@@ -179,10 +181,6 @@ def _velocity_cells(velocity_m_s: Float[np.ndarray, "n axes"]) -> dict[str, list
 
 def _wrong(path: Path | str, line: int, expected: str, actual: str) -> FileFormatError:
     return FileFormatError(path, where=f"line {line}", expected=expected, found=actual)
-
-
-def _missing(path: Path | str, line: int, name: str) -> str:
-    raise _wrong(path, line, f"a {name}", "an empty cell")
 
 
 def _decoded(data: bytes, path: Path | str) -> str:
@@ -342,7 +340,11 @@ def fields_of(table: BoxColumns) -> Fields:
     _check_one_frame(
         "Boxes", {name: np.asarray(table[name]) for name in _KEY if name in names}, "select the rows of one frame first"
     )
-    numbers = {name: np.asarray(table[name], dtype=np.float64) for name in names if name in _numeric(names)}
+    numbers = {
+        name: np.asarray(table[name], dtype=np.float64)
+        for name in names
+        if name in {*_NEEDED_COLUMNS[1:], "score", *_COUNT_COLUMNS, *_VELOCITY_COLUMNS}
+    }
     yaw_rad = _radians(numbers["yaw_rad"])
     axes = [name for name in _VELOCITY_COLUMNS if name in names]
     fields: Fields = {
@@ -356,16 +358,9 @@ def fields_of(table: BoxColumns) -> Fields:
     score = fields["score"]
     if score is not None and len(score) and np.isnan(score).all():
         fields["score"] = None
-    return fields | {name: _whole(numbers[name]) for name in _COUNT_COLUMNS if name in names}
-
-
-def _numeric(names: list[str]) -> set[str]:
-    return {*_NEEDED_COLUMNS[1:], "score", *_COUNT_COLUMNS, *_VELOCITY_COLUMNS} & {*names}
-
-
-def _whole(column: Float[np.ndarray, " n"]) -> Shaped[np.ndarray, " n"]:
-    """Whole numbers as pandas leaves them where one is missing: -1 there."""
-    return np.where(np.isnan(column), -1, column).astype(np.int64)
+    # Whole numbers as pandas leaves them where one is missing: -1 there.
+    counts = {name: numbers[name] for name in _COUNT_COLUMNS if name in names}
+    return fields | {name: np.where(np.isnan(count), -1, count).astype(np.int64) for name, count in counts.items()}
 
 
 def _radians(yaw: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -330,18 +330,15 @@ def names_of(rows: Shaped[np.ndarray, "n c"]) -> tuple[str, ...]:
     ranges = np.linalg.norm(rows[:, :3].astype(np.float64), axis=1)
     for number in range(4, rows.shape[1]):
         column = rows[:, number].astype(np.float64)
-        if "range_m" not in names and _is_range(column, ranges):
+        finite = np.isfinite(column) & np.isfinite(ranges)
+        is_near = "range_m" not in names and finite.any() and np.median(np.abs(column - ranges)[finite]) < 1e-2
+        if is_near and ranges[finite].max() > 1:
             names.append("range_m")
         elif "ring" not in names and _is_ring(column):
             names.append("ring")
         else:
             names.append(f"extra{number - 4}")
     return tuple(names)
-
-
-def _is_range(column: Float[np.ndarray, " n"], ranges: Float[np.ndarray, " n"]) -> bool:
-    finite = np.isfinite(column) & np.isfinite(ranges)
-    return bool(finite.any() and np.median(np.abs(column - ranges)[finite]) < 1e-2 and ranges[finite].max() > 1)
 
 
 def _is_ring(column: Float[np.ndarray, " n"]) -> bool:

@@ -8,7 +8,6 @@ from above). Readers of data sets convert; this module only moves text to arrays
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -53,7 +52,8 @@ class KittiObjects:
         return len(self.type)
 
     def __getitem__(self, index: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "KittiObjects":
-        return replace(self, **{f.name: _pick(getattr(self, f.name), index) for f in fields(self)})
+        columns = {column.name: getattr(self, column.name) for column in fields(self)}
+        return replace(self, **{name: None if rows is None else rows[index] for name, rows in columns.items()})
 
     @property
     def has_box(self) -> Bool[np.ndarray, " n"]:
@@ -128,7 +128,7 @@ def read_tracking(path: Path | str) -> KittiTracks:
     Raises:
         FileFormatError: As :func:`read_labels`, and if a frame or a track is no whole number.
     """
-    lines, rows = _rows(path, skip=2)
+    lines, rows = _rows_of(path, _lines(path), skip=2)
     ids = _whole(path, [row[:2] for row in rows], lines, 2)
     objects = _objects(path, lines, [row[2:] for row in rows])
     return _tracks(path, ids[:, 0], ids[:, 1], objects)
@@ -195,10 +195,6 @@ def _text(objects: KittiObjects) -> list[str]:
     ]
 
 
-def _pick(values: Any, index: Any) -> Any:
-    return None if values is None else values[index]
-
-
 def _wrong(path: Path | str, line: int, expected: str, actual: str) -> FileFormatError:
     return FileFormatError(path, where=f"line {line}", expected=expected, found=actual)
 
@@ -215,10 +211,6 @@ def _numbered(data: bytes, path: Path | str) -> list[tuple[int, str]]:
         actual = f"byte 0x{data[error.start]:02x}"
         raise FileFormatError(path, where=f"byte {error.start}", expected="ASCII text", found=actual) from None
     return [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
-
-
-def _rows(path: Path | str, *, skip: int) -> tuple[list[int], list[list[str]]]:
-    return _rows_of(path, _lines(path), skip=skip)
 
 
 def _rows_of(path: Path | str, numbered: Sequence[tuple[int, str]], *, skip: int) -> tuple[list[int], list[list[str]]]:

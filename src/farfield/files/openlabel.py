@@ -141,7 +141,9 @@ def with_new(text: str, cuboid: Cuboid) -> str:
         cuboid: The cuboid; without a track it gets a uid that no object has.
     """
     root = json.loads(text.removeprefix("\ufeff"))[_ROOT]
-    uid = cuboid.track or _free(root)
+    objects = root.get("objects", {})
+    free = next(str(number) for number in range(len(objects) + 1) if str(number) not in objects)
+    uid = cuboid.track or free
     for name in ("objects", "frames"):
         text = text if name in root else append(text, (_ROOT,), {}, key=name)
     if uid not in root.get("objects", {}):
@@ -152,7 +154,8 @@ def with_new(text: str, cuboid: Cuboid) -> str:
         number = (
             cuboid.frame if _is_free_number(cuboid.frame, frames) else str(1 + max(map(_whole, frames), default=-1))
         )
-        text = append(text, (_ROOT, "frames"), _new_frame(number, cuboid.frame), key=number)
+        properties = {} if number == cuboid.frame else {"frame_id": cuboid.frame}
+        text = append(text, (_ROOT, "frames"), {"frame_properties": properties, "objects": {}}, key=number)
     way: tuple[str | int, ...] = (_ROOT, "frames", number)
     for step, empty in (("objects", {}), (uid, {}), ("object_data", {}), ("cuboid", [])):
         text = text if span(text, (*way, step)) else append(text, way, empty, key=step)
@@ -165,21 +168,12 @@ def with_class(text: str, uid: str, label: str) -> str:
     return set_value(text, (_ROOT, "objects", uid, "type"), label)
 
 
-def _new_frame(number: str, name: str) -> dict[str, Any]:
-    return {"frame_properties": {} if number == name else {"frame_id": name}, "objects": {}}
-
-
 def _is_free_number(name: str, frames: Mapping[str, Any]) -> bool:
     return name.isascii() and name.isdigit() and str(int(name)) == name and name not in frames
 
 
 def _whole(number: str) -> int:
     return int(number) if number.isascii() and number.isdigit() and len(number) < 18 else 0
-
-
-def _free(root: Mapping[str, Any]) -> str:
-    objects = root.get("objects", {})
-    return next(str(number) for number in range(len(objects) + 1) if str(number) not in objects)
 
 
 def format_openlabel(

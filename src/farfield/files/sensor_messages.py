@@ -38,7 +38,8 @@ def _columns(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n
     for field in message.fields:
         code, count, offset = int(field.datatype), max(int(field.count), 1), int(field.offset)
         if code not in TYPES:
-            raise _wrong(path, f"field {field.name}", f"a type from 1 to 8, {_said()}", f"{code}")
+            types = ", ".join(f"{number} {name}" for number, name in TYPES.items())
+            raise _wrong(path, f"field {field.name}", f"a type from 1 to 8, {types}", f"{code}")
         size = np.dtype(TYPES[code]).itemsize
         if offset + count * size > step:
             raise _wrong(path, f"field {field.name}", f"bytes within a point of {step}", f"{offset} + {count} x {size}")
@@ -65,10 +66,6 @@ def _columns(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n
     table = empty if points is None else points
     native = {name: np.dtype(form).newbyteorder("=") for name, (form, _) in names.items()}
     return {name: np.ascontiguousarray(table[name]).astype(native[name]).reshape(-1) for name in names}
-
-
-def _said() -> str:
-    return ", ".join(f"{code} {name}" for code, name in TYPES.items())
 
 
 def _wrong(path: Path | str, where: str, expected: str, actual: str) -> FileFormatError:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import FileFormatError
-from farfield.files.cuboids import Cuboid, CuboidEntry, Value, attributes_of, checked, word, xyz
+from farfield.files.cuboids import Cuboid, CuboidEntry, attributes_of, checked, word, xyz
 from farfield.files.json_text import append, parse_json, set_value
 
 MAX_BYTES = 64 << 20
@@ -90,14 +90,11 @@ def _cuboid(figure: Mapping[str, Any], objects: Mapping[str, Any], path: Path | 
     if key not in objects or not isinstance(geometry, dict):
         raise FileFormatError(path, where=where, expected="a known objectKey and a geometry", found=repr(figure)[:80])
     centre, turn, size = (xyz(geometry.get(name), path, where, name) for name in ("position", "rotation", "dimensions"))
+    value = objects[key].get("tags")
+    tags = [tag for tag in value if isinstance(tag, dict)] if isinstance(value, list) else []
     return Cuboid(
         label=word(objects[key].get("classTitle"), path, where, "classTitle"),
         box=checked(centre, size, turn[2], path, where),
         track=key,
-        attributes=_tags(objects[key].get("tags")),
+        attributes=attributes_of({str(tag.get("name")): tag.get("value") for tag in tags}),
     )
-
-
-def _tags(value: Any) -> dict[str, Value]:
-    tags = [tag for tag in value if isinstance(tag, dict)] if isinstance(value, list) else []
-    return attributes_of({str(tag.get("name")): tag.get("value") for tag in tags})

@@ -148,17 +148,13 @@ def film_frames(film: Film, first: int = 0, last: int | None = None) -> Iterator
                 continue
             if frame.pts != film.stamps[position] or (frame.width, frame.height) != (film.width, film.height):
                 break
-            yield _upright(frame)
+            picture = frame.to_ndarray(format="rgb24")
+            yield np.ascontiguousarray(np.rot90(picture, round(frame.rotation / 90) % 4))
             position += 1
     if position < last:
         raise FileFormatError(
             film.path, where=f"frame {position}", expected=f"{len(film)} frames of one size", found="none that decodes"
         )
-
-
-def _upright(frame: Any) -> _Picture:
-    picture = frame.to_ndarray(format="rgb24")
-    return np.ascontiguousarray(np.rot90(picture, round(frame.rotation / 90) % 4))
 
 
 def film_frame(path: Path | str, time_s: float | int) -> _Picture:

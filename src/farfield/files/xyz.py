@@ -53,7 +53,9 @@ def read_xyz(
     if not data:
         raise FileFormatError(path, where="line 1", expected="at least one point", found="an empty file")
     first = data[: _LINE_BYTES + 1].partition(b"\n")[0].decode("ascii", errors="replace")
-    separator = _separator(first) if delimiter == "auto" else delimiter.strip() or None
+    separator = delimiter.strip() or None
+    if delimiter == "auto":
+        separator = next((mark for mark in ";," if mark in first), None)
     count = len(first.split(separator))
     if count != columns if columns is not None else count not in KNOWN_COLUMNS:
         raise FileFormatError(
@@ -66,10 +68,6 @@ def read_xyz(
     table = parse_table(data, dtypes=[np.dtype(np.float64)] * count, separator=separator, path=path)
     rows = np.stack(table, axis=1)
     return _finite(rows, on_nan=on_nan, path=path)
-
-
-def _separator(line: str) -> str | None:
-    return next((mark for mark in ";," if mark in line), None)
 
 
 def _finite(

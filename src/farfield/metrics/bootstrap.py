@@ -80,7 +80,10 @@ def point_and_intervals(
         drawn = replicate_weights(groups, settings.replicates, np.random.default_rng(settings.seed))
         weights = np.concatenate([weights, drawn])
     values = {part: dict(named) for part, named in evaluate_once(figures, weights).items()}
-    point = {part: {name: _or_none(rows[0]) for name, rows in named.items()} for part, named in values.items()}
+    point = {
+        part: {name: None if np.isnan(rows[0]) else float(rows[0]) for name, rows in named.items()}
+        for part, named in values.items()
+    }
     intervals = {
         part: {name: percentile_interval(rows[1:], settings.level) for name, rows in named.items()}
         for part, named in values.items()
@@ -104,7 +107,3 @@ def percentile_interval(values: Float[np.ndarray, " r"], level: float, *, least:
         return None
     tail = (1.0 - level) / 2
     return [float(bound) for bound in np.quantile(values, [tail, 1 - tail])]
-
-
-def _or_none(value: float | np.floating) -> float | None:
-    return None if np.isnan(value) else float(value)

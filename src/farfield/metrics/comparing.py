@@ -103,7 +103,8 @@ def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Compa
         FileFormatError: If a file holds no result.
     """
     trees_by_name: list[tuple[str, Tree]] = []
-    for path in map(_file_of, paths):
+    for path in paths:
+        path = path / _EVALUATION if path.is_dir() else path
         trees = _read(path)
         trees_by_name += [(_called(path, name, tree, alone=len(trees) == 1), tree) for name, tree in trees.items()]
     called = list(names) or [name for name, _ in trees_by_name]
@@ -127,10 +128,6 @@ def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Compa
             for label, class_result in classes.items()
         ]
     return entries
-
-
-def _file_of(path: Path) -> Path:
-    return path / _EVALUATION if path.is_dir() else path
 
 
 def _called(path: Path, name: str, tree: Tree, *, alone: bool) -> str:

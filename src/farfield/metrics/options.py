@@ -67,7 +67,8 @@ def read_option(settings: type[Any], name: str, text: str) -> Any:
     """
     if name not in {field.name for field in fields(settings)}:
         return text
-    kinds = _members(get_type_hints(settings)[name])
+    hint = get_type_hints(settings)[name]
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     origins = [get_origin(kind) or kind for kind in kinds]
     choices = {value for kind in kinds if get_origin(kind) is Literal for value in get_args(kind)}
     if Mapping in origins:
@@ -82,10 +83,6 @@ def read_option(settings: type[Any], name: str, text: str) -> Any:
     if bool in kinds:
         return {"true": True, "false": False}.get(text, text)
     return _number(name, text, is_integer=float not in kinds) if float in kinds or int in kinds else text
-
-
-def _members(hint: Any) -> tuple[Any, ...]:
-    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
 def _renames(name: str, text: str) -> dict[str, str]:

@@ -141,15 +141,12 @@ def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: M
         return []
     shown = ", ".join(f"{name} ({count})" for name, count in list(strange.items())[:8])
     meant = {name: guess for name in strange if (guess := closest_class(name, annotated_counts))}
-    advice = f"; meant is perhaps {', '.join(f'{a}:{b}' for a, b in meant.items())}: --options relabel={_pairs(meant)}"
+    pairs = [f"{name}:{guess}" for name, guess in meant.items()]
+    advice = f"; meant is perhaps {', '.join(pairs)}: --options relabel={','.join(pairs)}"
     return [
         f"{sum(strange.values())} of {sum(predicted_counts.values())} predicted boxes are of classes that no label "
         f"has: {shown}; labels have {', '.join(annotated_counts)}{advice if meant else ''}"
     ]
-
-
-def _pairs(meant: Mapping[str, str]) -> str:
-    return ",".join(f"{name}:{guess}" for name, guess in meant.items())
 
 
 def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:

@@ -274,13 +274,14 @@ def _radar(
         return None
     sensor = next((frame.sensors[name] for name in PRODUCTS if name in frame.sensors and name in frame.radar), None)
     if sensor is not None and not sensor.in_frame and sensor.frame_T_sensor is not None:
-        drawn = [_moved(kind, invert(sensor.frame_T_sensor)) for kind in drawn]
+        sensor_T_frame = invert(sensor.frame_T_sensor)
+        turn, offset = sensor_T_frame[:3, :3], sensor_T_frame[:3, 3]
+        trails = [{track: trail @ turn.T + offset for track, trail in kind.trails.items()} for kind in drawn]
+        drawn = [
+            replace(kind, boxes=kind.boxes.transform(sensor_T_frame), trails=moved)
+            for kind, moved in zip(drawn, trails, strict=True)
+        ]
     return radar_panel(bird, drawn, PanelView(*size, reach_m, behind=0.03))
-
-
-def _moved(drawn: DrawnBoxes, pose: np.ndarray) -> DrawnBoxes:
-    trails = {track: trail @ pose[:3, :3].T + pose[:3, 3] for track, trail in drawn.trails.items()}
-    return replace(drawn, boxes=drawn.boxes.transform(pose), trails=trails)
 
 
 ANIMATED = (".gif", ".webp")

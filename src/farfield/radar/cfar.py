@@ -106,7 +106,7 @@ def cfar_threshold(
         actual = f"{false_alarm}, {looks} and {rank}"
         raise ValueError(f"CFAR: expected false_alarm in (0, 1), looks above 0 and rank in (0, 1], got {actual}")
     window = window or CfarWindow()
-    wide, inner = (_count(power.shape, sides) for sides in (window.outer, window.guard))
+    wide, inner = (_box_sum(np.ones(power.shape), sides) for sides in (window.outer, window.guard))
     count = np.rint(wide - inner).astype(np.int64)
     kinds, which = np.unique(count, return_inverse=True)
     if kind == "cell-averaging":
@@ -205,10 +205,6 @@ def _box_sum(values: Float[np.ndarray, "r a e"], sides: Sides) -> Float64[np.nda
             upper, lower = np.minimum(position + side + 1, size), np.maximum(position - side, 0)
             total = edge.take(upper, axis=axis) - edge.take(lower, axis=axis)
     return total
-
-
-def _count(shape: tuple[int, ...], sides: Sides) -> Float64[np.ndarray, "r a e"]:
-    return _box_sum(np.ones(shape), sides)
 
 
 def _ordered(

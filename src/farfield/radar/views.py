@@ -149,7 +149,9 @@ def echoes_of(
         false_alarm: Probability that a cell of noise alone is detected.
     """
     cells = cfar(polar[0], kind=kind, false_alarm=false_alarm, looks=LOOKS)
-    cells = _strongest(polar[0], cells[cells >= _first_cell(polar[0].shape)])
+    _, azimuths, elevations = polar[0].shape
+    first_cell = int(np.searchsorted(KRADAR_AXES.range_m, NEAREST_M)) * azimuths * elevations
+    cells = _strongest(polar[0], cells[cells >= first_cell])
     columns = polar_points(polar, cells)
     marked = side_lobes(polar)
     return PolarPeaks(
@@ -201,10 +203,6 @@ def _cube(
     cube = np.full(CUBE_SHAPE, OUTSIDE, dtype=np.float32)
     cube.ravel()[cells.index] = cells.power * np.float32(POWER_UNIT)
     return cube
-
-
-def _first_cell(shape: tuple[int, ...]) -> int:
-    return int(np.searchsorted(KRADAR_AXES.range_m, NEAREST_M)) * shape[1] * shape[2]
 
 
 def _peaks(power: Float32[np.ndarray, "r a"]) -> Bool[np.ndarray, "r a"]:

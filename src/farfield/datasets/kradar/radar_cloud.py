@@ -4,7 +4,7 @@ From the store (``cells``), the published sparse files (``sparse``), the cube or
 published files hold what their rate and region left. The polar map gives its own strongest cells, with their Doppler.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, cast
@@ -89,7 +89,10 @@ class RadarView:
         source = _source(frame, self)
         if source is None:
             return frame
-        loaders = {name: _loader(frame, name) for name in frame.clouds}
+        loaders = {
+            name: frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else Constant(frame.clouds[name])
+            for name in frame.clouds
+        }
         if isinstance(loaders.get(RADAR_CLOUD), StackedCloud):
             raise ConfigError(f"radar_view: frame {frame.key} has several sweeps already; stack them after the view.")
         loader = TransformedCloud(partial(_read, frame.radar, source, self), _frame_T_radar(frame, source))
@@ -101,10 +104,6 @@ def _source(frame: Frame, view: RadarView) -> str | None:
     fitting = [name for name in _SOURCES if name.endswith("_1p")] if view.rate <= _SPARSE_RATE else []
     fitting += ["corridor"] if view.over == "region" else []
     return next((name for name in ("cells", *fitting, *_SOURCES) if name in frame.radar), None)
-
-
-def _loader(frame: Frame, name: str) -> Callable[[], Any]:
-    return frame.clouds.loader(name) if isinstance(frame.clouds, Lazy) else Constant(frame.clouds[name])
 
 
 def _read(products: Mapping[str, Any], source: str, view: RadarView) -> Cloud:

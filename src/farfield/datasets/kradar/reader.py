@@ -184,11 +184,14 @@ class KRadar(Dataset):
         times = _times(shared.times_ns, paths, record)
         time_ns = times.get("os2-64", raw.time_ns if raw is not None else None)
         os2_T_radar = self._os2_T_radar(index)
+        first_ns = record.first_shot_ns if record is not None else {}
+        names = [name for name in LIDARS if name in paths]
+        clouds = {name: partial(read_lidar, paths[name], name, first_ns=first_ns.get(name, 0)) for name in names}
         frame = Frame(
             sequence=entry.sequence,
             frame_id=entry.stem,
             time_ns=time_ns,
-            clouds=Lazy(_clouds(paths, record)),
+            clouds=Lazy(clouds),
             images=Lazy(_eyes(paths) | dash_image(shared.video, shared.times_ns, time_ns)),
             cameras=shared.cameras,
             load_annotation=None if raw is None else partial(annotation_of, raw, entry.version or ""),
@@ -301,12 +304,6 @@ def _eyes(paths: dict[str, Path]) -> dict[str, Callable[[], Any]]:
     present = [name for name in CAMERAS if name in paths]
     eyes = [(name + suffix, paths[name], bool(suffix)) for name in present for suffix in ("", RIGHT_EYE)]
     return {name: partial(read_eye, path, right) for name, path, right in eyes}
-
-
-def _clouds(paths: dict[str, Path], record: FrameRecord | None) -> dict[str, Callable[[], Any]]:
-    first_ns = record.first_shot_ns if record is not None else {}
-    names = [name for name in LIDARS if name in paths]
-    return {name: partial(read_lidar, paths[name], name, first_ns=first_ns.get(name, 0)) for name in names}
 
 
 def _products(paths: Mapping[str, Path]) -> dict[str, Callable[[], Any]]:

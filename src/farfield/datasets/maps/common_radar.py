@@ -101,7 +101,9 @@ class CommonRadar:
         load = partial(self._seen, frame)
         return replace(
             frame,
-            clouds=Lazy({name: load if name == self.cloud else partial(_of, frame, name) for name in frame.clouds}),
+            clouds=Lazy(
+                {name: load if name == self.cloud else partial(frame.clouds.__getitem__, name) for name in frame.clouds}
+            ),
         )
 
     def _seen(self, frame: Frame) -> Cloud:
@@ -186,7 +188,3 @@ def strongest(
     number = (along_x * width + along_y) * height + along_z
     order = np.lexsort((-value, number))
     return np.sort(order[np.unique(number[order], return_index=True)[1]])
-
-
-def _of(frame: Frame, name: str) -> Cloud:
-    return frame.clouds[name]

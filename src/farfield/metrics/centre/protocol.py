@@ -43,7 +43,8 @@ class CentrePresenter(Presenter):
     def title(self, figure: str) -> str:
         """AP with its distance; other names in full."""
         kind, _, rest = figure.partition("/")
-        return f"AP {float(rest):g} m" if kind == "ap" and _is_number(rest) else super().title(figure)
+        is_distance = kind == "ap" and rest.replace(".", "", 1).isdecimal()
+        return f"AP {float(rest):g} m" if is_distance else super().title(figure)
 
 
 class CentreProtocol(Protocol):
@@ -79,10 +80,6 @@ def _lines(epsilon: str, curves: Mapping[str, Any]) -> tuple[CurveLine, ...]:
     named = {f"within {float(name):g} m": curves[name] for name in sorted(curves, key=float)}
     lines = (curve_line(name, curve, (f"of epsilon {epsilon}",)) for name, curve in named.items())
     return tuple(line for line in lines if line is not None)
-
-
-def _is_number(text: str) -> bool:
-    return text.replace(".", "", 1).isdecimal()
 
 
 def distances(result: Mapping[str, Any]) -> tuple[str, ...]:

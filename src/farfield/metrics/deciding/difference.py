@@ -176,7 +176,10 @@ def samples(
     unknown = [part for part in parts if part not in weighted.parts]
     if unknown:
         raise ConfigError(f"part: expected some of {', '.join(weighted.parts)}; got {', '.join(unknown)}")
-    beyond = _beyond_reach(resolved, detections.reach_m)
+    bins_m = getattr(resolved, "bins_m", ())
+    # Range bins that begin beyond the detector's reach have no figure in a result either.
+    reach_m = np.inf if detections.reach_m is None else detections.reach_m
+    beyond = {f"{low_m:g}-{high_m:g}" for low_m, high_m in bins_m if low_m >= reach_m}
     figures = partial(_scalars_under, weighted, scalars, tuple(part for part in parts if part not in beyond), index)
     drawn = replicate_weights(groups, replicates, np.random.default_rng(seed)) if groups else np.zeros((replicates, 0))
     values = evaluate_once(figures, np.concatenate([np.ones((1, groups)), drawn]))[""]
@@ -260,12 +263,6 @@ def drawn_values(
             value_of_draw[key] = np.nan if value is None else value
         values[row] = value_of_draw[key]
     return values
-
-
-def _beyond_reach(settings: Any, reach_m: float | None) -> set[str]:
-    """Range bins that begin beyond the detector's reach: they have no figure in a result either."""
-    bins_m = getattr(settings, "bins_m", ())
-    return {f"{low_m:g}-{high_m:g}" for low_m, high_m in bins_m if reach_m is not None and low_m >= reach_m}
 
 
 LEVEL = 0.95

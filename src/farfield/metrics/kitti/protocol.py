@@ -48,7 +48,7 @@ class KittiPresenter(Presenter):
         """A panel for each overlap, in space first."""
         curves = (result.get("curves") or {}).get("overall") or {}
         named = {_MEASURES.get(name, name): curves[name] for name in sorted(curves)}
-        return [CurvePanel(panel.title, _moderate_first(panel.lines)) for panel in panels(named)]
+        return [CurvePanel(panel.title, tuple(sorted(panel.lines, key=_line_rank))) for panel in panels(named)]
 
 
 class KittiProtocol(Protocol):
@@ -112,10 +112,6 @@ _GLOSSARY = (
 def _rank(name: str) -> tuple[bool, int]:
     difficulty = name.rpartition("/")[2]
     return "bev" in name, _ORDER.index(difficulty) if difficulty in _ORDER else len(_ORDER)
-
-
-def _moderate_first(lines: tuple[CurveLine, ...]) -> tuple[CurveLine, ...]:
-    return tuple(sorted(lines, key=_line_rank))
 
 
 def _line_rank(line: CurveLine) -> tuple[bool, int]:

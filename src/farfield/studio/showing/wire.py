@@ -117,16 +117,11 @@ def _span(name: str, values: Shaped[np.ndarray, " n"]) -> tuple[float, float]:
 def _shown(name: str, column: Shaped[np.ndarray, " n ..."]) -> tuple[str, Shaped[np.ndarray, " n ..."]]:
     """A column's name and values on the page: times as ages, a radar's power in dB, for it spans six decades."""
     if name == "time_ns":
-        return "age_s", _ages_s(column)
+        times_ns = np.asarray(column).astype(np.int64)
+        return "age_s", (times_ns.max(initial=0) - times_ns) / 1e9 if len(times_ns) else np.zeros(0)
     if name == "power" and column.ndim == 1 and column.dtype.kind == "f":
         return "power_db", decibel(np.maximum(column, 0), unit=1.0)
     return name, column
-
-
-def _ages_s(time_ns: Shaped[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Seconds before the latest point."""
-    times_ns = np.asarray(time_ns).astype(np.int64)
-    return (times_ns.max(initial=0) - times_ns) / 1e9 if len(times_ns) else np.zeros(0)
 
 
 def _packed(header: dict[str, Any], arrays: Mapping[str, tuple[np.ndarray, dict[str, Any]]]) -> bytes:
