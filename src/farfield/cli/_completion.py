@@ -24,7 +24,7 @@ def arguments_of(verb: str) -> tuple[Any, ...]:
 
 def flags_of(verb: str) -> dict[str, tuple[str, ...]]:
     """The flags of a verb and the words that each takes; no words where it takes files or anything."""
-    words = {}
+    words: dict[str, tuple[str, ...]] = {}
     for action in arguments_of(verb):
         listed = re.match(r"\{([\w.-]+(?:,[\w.-]+)+)\}", str(action.metavar or ""))  # such as {day,night}|STR
         choices = tuple(sorted(map(str, action.choices or (listed.group(1).split(",") if listed else ()))))

@@ -98,9 +98,9 @@ def run(
         "seed": seed,
     }
     if dry_run:
-        from farfield.experiments.adapting import dry_run
+        from farfield.experiments.adapting import dry_run as lines_of_dry_run
 
-        for line in dry_run(detector, opened, out=folder, **choices):
+        for line in lines_of_dry_run(detector, opened, out=folder, **choices):
             print(line)
         would_write("weights, report.html and what each round needs to go on", folder)
         return 0

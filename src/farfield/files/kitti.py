@@ -8,6 +8,7 @@ from above). Readers of data sets convert; this module only moves text to arrays
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -52,8 +53,9 @@ class KittiObjects:
         return len(self.type)
 
     def __getitem__(self, index: slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"]) -> "KittiObjects":
-        columns = {column.name: getattr(self, column.name) for column in fields(self)}
-        return replace(self, **{name: None if rows is None else rows[index] for name, rows in columns.items()})
+        columns: dict[str, Any] = {column.name: getattr(self, column.name) for column in fields(self)}
+        chosen: dict[str, Any] = {name: None if rows is None else rows[index] for name, rows in columns.items()}
+        return replace(self, **chosen)
 
     @property
     def has_box(self) -> Bool[np.ndarray, " n"]:

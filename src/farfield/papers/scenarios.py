@@ -97,7 +97,7 @@ def _switching(runs: Mapping[str, Sequence[Detections]], settings: Tree, replica
     return {
         "by": _SWITCHED_BY,
         "choices": [dict(choice) for rule in rules for choice in rule.choices],
-        "mean": _mean_dds([rule.found for rule in rules], settings)[0],
+        "mean": _mean_dds([rule.detections for rule in rules], settings)[0],
         "gains": {name: decide(gain).to_json() for name, gain in gains.items()},
     }
 
