@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+pytest.importorskip("torch")
+
 from farfield.figures.style import ANNOTATED, PREDICTED
 from farfield.frame import Boxes, Cloud
 from farfield.inspection.radar_frame import RadarLook
-from farfield.papers.radar_sheets import LOST, WINDOW_M, RadarSheet, SheetGroup, sheet_picture
+from farfield.papers.sheets import LOST, WINDOW_M, RadarSheet, SheetGroup, sheet_picture
 from farfield.radar.axes import CUBE_SHAPE
 from farfield.radar.views import RadarViews
 

@@ -58,7 +58,7 @@ def test_what_killed_processes_took_counts(tmp_path: Path, monkeypatch: pytest.M
     assert second.seconds == pytest.approx(15.0 + 7.0)  # up to ten seconds of the first are lost
     second.note()
     assert CpuTime(path).seconds == pytest.approx(22.0)
-    second.done()
+    second.remove()
     assert CpuTime(path).seconds == pytest.approx(0.0)
     path.write_text("[1", encoding="utf-8")
     assert CpuTime(path).seconds == pytest.approx(0.0)

@@ -16,8 +16,7 @@ from farfield.datasets import open_dataset
 from farfield.figures.birds_eye import Window
 from farfield.papers import Reproduction, load_grid
 from farfield.papers.locations import DataLocation
-from farfield.papers.radar_sheets import WINDOW_M
-from farfield.papers.sheets import SheetFrame, sheet_locations, sheets_of, two_roads
+from farfield.papers.sheets import WINDOW_M, SheetFrame, sheet_locations, sheets_of, two_roads
 from farfield.vocabulary.conditions import WEATHERS
 
 CORRIDOR = (0.0, 72.0, -6.4, 6.4)

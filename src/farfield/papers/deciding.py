@@ -68,13 +68,16 @@ def row_difference(
 
 
 def decide_all(rows: Sequence[RowDifference]) -> list[tuple[Decision | None, Decision | None]]:
-    """Decide on differences: each decision, and the same after Holm's correction; None where there is none.
+    """Decide on differences by intervals of 95 %.
 
     The variance of a difference is s_seed^2 / n + s_seq^2 (:mod:`farfield.metrics.deciding`), s_seed pooled over all
-    differences of its pool.
+    differences of its pool. Holm, "A simple sequentially rejective multiple test procedure", 1979.
 
     Args:
         rows: The differences of a report.
+
+    Returns:
+        For each the decision, and the same after Holm's correction; None where a row was not run or is not corrected.
     """
     # the spread over seeds of each pool; rows that score nothing do not scatter and do not count
     pools: dict[str, list[Difference]] = defaultdict(list)
@@ -94,7 +97,7 @@ def decide_all(rows: Sequence[RowDifference]) -> list[tuple[Decision | None, Dec
             decisions.append(nothing)
         else:
             decisions.append(decide(row.difference.with_pooled(spreads.get(row.pool)), row.hypothesis))
-    # Holm's correction (1979)
+    # Holm's correction over those that decide
     tested = {index: decision for index, decision in enumerate(decisions) if decision and rows[index].corrected}
     adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
     return [(decision, adjusted.get(index)) for index, decision in enumerate(decisions)]

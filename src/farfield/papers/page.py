@@ -13,8 +13,8 @@ from farfield.figures.plots import precision_recall
 from farfield.figures.style import figure_uri
 from farfield.files.atomic import write_text
 from farfield.pages.template import PageImage, render_template
-from farfield.papers.radar_sheets import SheetGroup
 from farfield.papers.scenarios import NOTHING, scenario_tables
+from farfield.papers.sheets import SheetGroup
 from farfield.vocabulary.patterns import PATTERNS
 
 MEMORY = "memory_mb"

@@ -1,4 +1,7 @@
-"""A paper's tables by one command: plan, simulate, train, score, decide, write the page; resumable throughout."""
+"""A paper's tables by one command: plan, simulate, train, score, decide, write the page; resumable throughout.
+
+Cirrus (Wang et al., ICRA 2021), Tables I to VI; K-Radar (Paek et al., NeurIPS 2022), Tables 3, 4 and 9.
+"""
 
 import hashlib
 import json
@@ -8,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
@@ -27,13 +30,10 @@ from farfield.papers.locations import DataLocation, fingerprints_of, locations_o
 from farfield.papers.running import WEIGHTS, Report, clocks_of, do_all, done_jobs, no_progress, scores_of, silent
 from farfield.papers.scenarios import scenarios_of, seeds_of
 from farfield.papers.scoring import ScoringTask, needs_of
-from farfield.papers.sheets import sheet_locations, sheets_of
+from farfield.papers.sheets import SheetGroup, sheet_locations, sheets_of
 from farfield.papers.statistics import objects_in
 from farfield.papers.summary import ReproductionSummary, curves_of, summary_of
 from farfield.vocabulary.patterns import PATTERNS
-
-if TYPE_CHECKING:
-    from farfield.papers.radar_sheets import SheetGroup
 
 MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
 _MAX_BYTES = 1 << 26
@@ -151,6 +151,9 @@ class Reproduction:
 
     def run(self, *, page_only: bool = False) -> Path:
         """Do all that is not done, and write the summary and the page.
+
+        The steps: plan, simulate the sets that are not there, train and score run by run, decide on the claims, and
+        show the paper's tables beside ours.
 
         Args:
             page_only: Do no run: the page of what is there.
@@ -370,7 +373,7 @@ class Reproduction:
         curves = curves_of(scores, self.settings.score)
         return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns, sheets=sheets)
 
-    def _sheets(self, first_set: DataLocation, weights: Mapping[str, Path]) -> "list[SheetGroup]":
+    def _sheets(self, first_set: DataLocation, weights: Mapping[str, Path]) -> list[SheetGroup]:
         """K-Radar's sheets; their frames are simulated now if they are not there yet."""
         if self.paper != "kradar":
             return []

@@ -120,7 +120,7 @@ class RunTask:
         clock["processor_s"] = round(cpu_time.seconds, 1)
         with (home / CLOCK).open("a", encoding="utf-8") as file:
             file.write(json.dumps(clock) + "\n")
-        cpu_time.done()
+        cpu_time.remove()
         return UnitResult(files=(home / SCORES,), clock=clock)
 
 
@@ -153,7 +153,7 @@ class CpuTime(TrainingReport):
         write_text(self._path, json.dumps({"processor_s": round(self.seconds, 1)}) + "\n")
         self._noted = time.monotonic()
 
-    def done(self) -> None:
+    def remove(self) -> None:
         """Remove the file: the job's clock holds the time from now on."""
         self._path.unlink(missing_ok=True)
 

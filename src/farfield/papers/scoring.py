@@ -162,14 +162,14 @@ class ScoringTask(GridScoring):
                 groups[need.table, need.matched].append(need)
         trees: Tree = {}
         for (table, matched), needs in groups.items():
-            drawn = self._drawn(detections, table, matched, needs)
+            drawn = self._draw_samples(detections, table, matched, needs)
             trees |= {name: json_of_sample(sample) for name, sample in drawn.items()}
         return dict(sorted(trees.items()))
 
-    def _drawn(
+    def _draw_samples(
         self, detections: Detections, table: str, matched: tuple[str, ...], needs: Sequence[RequiredScore]
     ) -> dict[str, ScoreSample]:
-        settings = self.score.settings_of(table) | _only(self.score.protocol, needs)
+        settings = self.score.settings_of(table) | _figures_needed(self.score.protocol, needs)
         frames = matched_frames(detections, matched) if matched else None
         some = detections if frames is None else _of_frames(detections, frames)
         protocol = PROTOCOLS[self.score.protocol]
@@ -180,7 +180,7 @@ class ScoringTask(GridScoring):
         return samples(detections, scalars, protocol=protocol, replicates=self.replicates, frames=frames, **settings)
 
 
-def _only(protocol: str, needs: Sequence[RequiredScore]) -> Tree:
+def _figures_needed(protocol: str, needs: Sequence[RequiredScore]) -> Tree:
     """Settings that leave out figures which no number needs: draws take their time."""
     if protocol != "dds":
         return {}

@@ -102,10 +102,10 @@ def objects_in(locations: Mapping[str, DataLocation], options: JobOptions) -> An
     missing = [np.full(length, -1, dtype=np.int64) for length in lengths]
     return AnnotatedObjects(
         points={
-            name: _joined([counts.get(name, gap) for (counts, *_), gap in zip(frames, missing, strict=True)], np.int64)
+            name: _concat([counts.get(name, gap) for (counts, *_), gap in zip(frames, missing, strict=True)], np.int64)
             for name in clouds
         },
-        range_m=_joined([range_m for _, range_m, *_ in frames], np.float64),
+        range_m=_concat([range_m for _, range_m, *_ in frames], np.float64),
         road=np.repeat([roads[sequence] for _, _, sequence, _, _ in frames], lengths).astype(np.int64),
         weather=np.repeat(np.array([weather for *_, weather, _ in frames], dtype=np.str_), lengths),
         label=np.concatenate([np.asarray(label, dtype=np.str_) for *_, label in frames] or [np.zeros(0, np.str_)]),
@@ -113,7 +113,7 @@ def objects_in(locations: Mapping[str, DataLocation], options: JobOptions) -> An
     )
 
 
-def _joined(arrays: list[Any], kind: Any) -> Any:
+def _concat(arrays: list[Any], kind: Any) -> Any:
     return np.concatenate(arrays).astype(kind) if arrays else np.zeros(0, dtype=kind)
 
 

@@ -261,12 +261,12 @@ def classes_of(grid: ExperimentGrid, settings: BudgetSettings, annotated: Mappin
         settings: The budget.
         annotated: Number of annotated objects by class.
     """
-    learnt = set(_learnt(settings))
+    learnt = set(_learnt_classes(settings))
     names = CIRRUS_CLASSES if grid.paper == "cirrus" else tuple(sorted({*annotated, *learnt}))
     return [{"label": name, "annotated": int(annotated.get(name, 0)), "learnt": name in learnt} for name in names]
 
 
-def _learnt(settings: BudgetSettings) -> Iterator[str]:
+def _learnt_classes(settings: BudgetSettings) -> Iterator[str]:
     """Classes that any network of a budget has an anchor or a size of."""
     for tree in settings.networks.values():
         classes: Mapping[str, Any] = tree.get("anchors") or tree.get("sizes_m") or {"vehicle": None}

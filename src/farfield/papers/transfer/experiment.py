@@ -1,4 +1,4 @@
-"""The table of transfer at work: worlds and their floors, what is scored of a job, what all costs, what is written.
+"""The table of transfer (Paek et al., NeurIPS 2022, appendix G): worlds and their floors, scores, cost, results.
 
 Jobs are done by the engine of the papers' grids (:mod:`farfield.papers.running`).
 """
@@ -124,7 +124,7 @@ class TransferScoring(GridScoring):
 
 @dataclass(frozen=True, kw_only=True)
 class TransferExperiment:
-    """The table in a folder; called again it goes on where it stopped.
+    """The table of transfer in a folder; called again it goes on where it stopped.
 
     Args:
         table: The table.
@@ -158,7 +158,7 @@ class TransferExperiment:
         return transfer_jobs(self.table, self.out / "data", self.runs_folder, self.seeds)
 
     def run(self) -> None:
-        """Do all that is not done."""
+        """Simulate, train and score all that is not done: first the rows that others start from."""
         scoring = self.scoring
         self.runs_folder.mkdir(parents=True, exist_ok=True)
         # simulate, and measure the floors of the training sets
