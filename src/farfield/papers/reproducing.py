@@ -250,7 +250,7 @@ class Reproduction:
             locations, needed, scratch / "data", progress=self.progress("simulating a few frames")
         )
         sheets = dict(list(self.sheet_locations.items())[:1])
-        sheet_s = sum(planning.measure_simulating(sheets, (), scratch / "sheets")[0].values())
+        sheet_s = sum(planning.measure_simulating(sheets, (), scratch / "sheets")[0].values(), 0.0)
         rates = planning.measure(
             self.jobs(small),
             scratch / "runs",
