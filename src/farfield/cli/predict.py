@@ -148,16 +148,16 @@ def _draw(path: Path, frame: "Frame", predictions: "Boxes | None", least: float 
 class _CountedPredictions:
     """The boxes frame by frame; only those of the first frame are remembered."""
 
-    def __init__(self, keys: "Sequence[Key]", found: "Iterator[FrameDetections | None]") -> None:
-        self.keys, self.found = keys, found
+    def __init__(self, keys: "Sequence[Key]", predictions: "Iterator[FrameDetections | None]") -> None:
+        self.keys, self.predictions = keys, predictions
         self.count = 0
         self.first: Boxes | None = None
 
     def __iter__(self) -> "Iterator[tuple[Key, Boxes]]":
-        for key, found in zip(self.keys, self.found, strict=True):
-            if found is None:
+        for key, frame in zip(self.keys, self.predictions, strict=True):
+            if frame is None:
                 continue
-            boxes = found.boxes
+            boxes = frame.boxes
             self.first = boxes if self.first is None else self.first
             self.count += len(boxes)
             yield key, boxes
