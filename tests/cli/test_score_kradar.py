@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import farfield as ff
 from farfield.cli import main
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
+from farfield.metrics import Bootstrap
 
 
 @pytest.fixture
@@ -48,6 +50,17 @@ def test_both_classes_and_the_conditions_are_scored(
     shown = capsys.readouterr().out
     for part in ("label_version=v2.1", "weather: heavy_snow", "road: university", "yaw=correct"):
         assert part in shown
+
+
+def test_the_function_scores_by_condition_as_the_verb_does(tmp_path: Path, files: tuple[str, str]) -> None:
+    words = ("--label-version", "v2.1", "--conditions", "published")
+    tree = run(tmp_path, *files, "--protocol", "kradar", *words)
+    no_intervals = Bootstrap(replicates=0)
+    result = ff.score(
+        *files, protocol="kradar", conditions="published", label_version="v2.1", bootstrap=no_intervals
+    ).to_json()
+    assert result["conditions"] == tree["conditions"]
+    assert result["ap"] == tree["ap"]
 
 
 def test_a_variant_turns_boxes_and_cuts_scores(tmp_path: Path, files: tuple[str, str]) -> None:
