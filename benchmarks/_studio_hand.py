@@ -87,7 +87,7 @@ class Hand:
         return self._fitted(lambda: page.drag(self._pixel([*start, z]), self._pixel([*end, z])))
 
     def corrected(self, row: dict[str, Any], subject: Subject, rng: np.random.Generator) -> dict[str, Any] | None:
-        """Drag an edge or the middle of the close-up from above, whichever mends most, to a pixel beside its place."""
+        """Drag an edge or the middle of the close-up from above, whichever fixes most, to a pixel beside its place."""
         x, y, z, length, width, _, yaw = row["box"]
         ahead, left = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
         away = subject.box.centre_m[0, :2] - (x, y)

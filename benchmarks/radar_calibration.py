@@ -5,7 +5,7 @@ are kept. Eight solvers start in each drive, from up to +-2 m, +-3 degrees and +
 share its data, so that a row's spread is that of its drives. The doctor checks every drive with the right calibration
 and with planted errors of 0.1 to 2 degrees, or 2 to 40 cm in a random direction. How deep a side of the road may be was
 chosen on the highways up to number 25, among others; the threshold of a claim on drives up to number 46; how strong a
-side lobe may be from the array alone, and then seen to mend y on the highways up to number 67. On those of --unseen,
+side lobe may be from the array alone, and then seen to fix y on the highways up to number 67. On those of --unseen,
 from number 48 on, nothing else was, and on those of --fresh, from number 68 on, nothing at all. The drives stay in
 --data, as does all that is done: a second run goes on where the first ended.
 

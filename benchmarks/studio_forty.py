@@ -92,7 +92,7 @@ def drawn_new(hand: Hand, number: int, frame: int, one: Subject) -> dict[str, An
 
 
 def draw_corrected(hand: Hand, chosen: Sequence[tuple[int, Subject]]) -> list[dict[str, Any] | None]:
-    """Each object as a new one, then mended by one drag in the close-up from above."""
+    """Each object as a new one, then fixed by one drag in the close-up from above."""
     made = []
     for number, (frame, one) in progress(list(enumerate(chosen)), "drawing"):
         row = drawn_new(hand, number, frame, one)
@@ -155,7 +155,7 @@ def simulated_part(work: Path, chromium: Any) -> Iterator[str]:
     off = np.median([abs(length - usual_length_m(classes, name, length)) / 2 for length, name in lengths])
     yield f"   (half of what the usual length is off: {off:.3f} m in the median; so far off is the middle of a box"
     yield "   whose seen end is right)"
-    mended = emptied(source, work / "mended")
+    mended = emptied(source, work / "fixed")
     with annotated(mended, chromium) as page:
         made = draw_corrected(Hand(page), chosen[:TEN])
     yield from scored("new, one drag in the close-up", mended, chosen[:TEN], made, CORRECTED)

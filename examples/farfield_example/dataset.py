@@ -66,7 +66,7 @@ def read_cloud(path: Path) -> Cloud:
         rows = np.loadtxt(path, np.float32, delimiter=",", skiprows=1, usecols=(0, 1, 2, 3), ndmin=2)
     except ValueError as error:
         expected = "a header, then x,y,z,intensity"
-        raise FileFormatError(path, where="the rows", expected=expected, found=str(error)) from error
+        raise FileFormatError(path, where="the rows", expected=expected, got=str(error)) from error
     return Cloud(rows[:, :3], rows[:, 3])
 
 

@@ -87,7 +87,7 @@ class TestClasses:
         assert finding.severity == "fail"
         assert "'Auto' (6)" in finding.what
         assert "vehicle" in finding.what
-        assert "relabel=Auto:vehicle" in finding.mend
+        assert "relabel=Auto:vehicle" in finding.fix
 
     def test_the_doctor_guesses(self, tmp_path: Path) -> None:
         report = examine(open_dataset(own(tmp_path / "own", "Car")))

@@ -64,7 +64,7 @@ def test_a_wrong_mapping_is_named(own: Path, text: str, words: str) -> None:
 def test_the_doctor_names_the_mapping_of_the_folder(own: Path) -> None:
     (finding,) = [finding for finding in examine(open_dataset(own)).findings if finding.topic == "class names"]
     advice = "{classes: {Auto: vehicle}} into mapping.yaml"
-    assert advice in finding.mend
+    assert advice in finding.fix
     (own / "mapping.yaml").write_text("classes: {Auto: vehicle}")
     assert "'LKW' (1)" in str(examine(open_dataset(own)))
 
@@ -79,4 +79,4 @@ def test_the_doctor_s_advice_fits_an_own_folder(tmp_path: Path, rng: np.random.G
         write_boxes(folder / f"{stem}.json", boxes.replace(yaw_rad=-boxes.yaw_rad))
     found = [finding for finding in examine(open_dataset(folder)).findings if finding.topic == "yaw"]
     assert [finding.severity for finding in found] == ["fail"]
-    assert found[0].mend == "Change its sign."
+    assert found[0].fix == "Change its sign."

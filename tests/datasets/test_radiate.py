@@ -40,7 +40,7 @@ def test_the_doctor_finds_it_fit_and_asks_for_no_file_that_it_would_not_read(seq
     assert not report.failed
     (calibration,) = (finding for finding in report.findings if finding.topic == "calibration")
     assert calibration.severity == "warn"
-    assert "calibration.yaml" not in calibration.mend
+    assert "calibration.yaml" not in calibration.fix
 
 
 def test_the_radars_cells_go_clockwise_from_forward(sequence):

@@ -96,3 +96,12 @@ def test_no_module_prints_pydantic_s_texts() -> None:
     """``errors.plain`` and ``errors.fault_of`` do it once for all."""
     theirs = [path for path, text in sources().items() if re.search(r"(item|first)\[['\"]msg", text)]
     assert theirs == ["errors/wording.py"]
+
+
+def test_old_keywords_of_a_fault_in_a_file_work_and_warn() -> None:
+    with pytest.warns(DeprecationWarning, match="got="):
+        error = FileFormatError("a.pcd", where="line 7", expected="three numbers", found="two", mend="Write three.")
+    assert str(error) == "a.pcd, line 7: expected three numbers, found two. Write three."
+    assert (error.got, error.fix) == ("two", "Write three.")
+    with pytest.raises(TypeError, match="nothing_known"):
+        FileFormatError("a.pcd", where="line 7", expected="three numbers", nothing_known="")

@@ -44,7 +44,7 @@ def test_each_verdict_is_a_sentence(verdict: str, severity: str, words: str) -> 
     found = _finding("cam-front", check, "farfield calibrate")
     assert found.severity == severity
     assert words in found.what
-    assert bool(found.mend) == (severity == "warn")
+    assert bool(found.fix) == (severity == "warn")
 
 
 def test_it_is_said_how_many_frames_would_tell() -> None:

@@ -69,7 +69,7 @@ def test_what_is_wrong_with_a_stream_is_a_warning(spoil: Callable[[np.ndarray], 
     assert all(finding.severity == "warn" for finding in found)
     assert words in found[0].what
     assert found[0].where == "one"
-    assert found[0].mend
+    assert found[0].fix
 
 
 def test_a_camera_that_is_a_frame_off_is_out_of_step() -> None:
@@ -79,7 +79,7 @@ def test_a_camera_that_is_a_frame_off_is_out_of_step() -> None:
         found.what
         == "camera is out of step: in 39 of 40 frames a neighbour's stamp is nearer; typically -68.0 ms from its frame"
     )
-    assert "farfield sync" in found.mend
+    assert "farfield sync" in found.fix
 
 
 def test_a_camera_that_runs_freely_drifts() -> None:

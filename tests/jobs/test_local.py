@@ -67,7 +67,7 @@ def test_a_bounded_number_is_under_way() -> None:
 
 def test_an_error_keeps_its_kind_and_words() -> None:
     for bulk in (HERE, TWO):
-        with pytest.raises(FileFormatError, match=r"a\.xyz, line 3: expected numbers, found words\. Mend it\."):
+        with pytest.raises(FileFormatError, match=r"a\.xyz, line 3: expected numbers, found words\. Fix it\."):
             list(values(works.damaged, UNITS, bulk))
     assert not workers_of(os.getpid())
 

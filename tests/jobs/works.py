@@ -26,7 +26,7 @@ def slowest_first(unit: Unit) -> UnitResult:
 
 def damaged(unit: Unit) -> UnitResult:
     if unit.parameters == 3:
-        raise FileFormatError("a.xyz", where="line 3", expected="numbers", found="words", mend="Mend it.")
+        raise FileFormatError("a.xyz", where="line 3", expected="numbers", got="words", fix="Fix it.")
     return UnitResult(value=unit.parameters)
 
 

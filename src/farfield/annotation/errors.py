@@ -11,7 +11,7 @@ class RefusedError(FarfieldError):
     Args:
         code: A word for programs, such as ``extent`` or ``unknown-class``.
         sentence: What is wrong, for people.
-        mend: What to do.
+        fix: What to do.
     """
 
     def __init__(self, code: str, sentence: str, mend: str = "") -> None:

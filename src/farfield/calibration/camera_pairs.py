@@ -177,6 +177,6 @@ def read_pairs(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, 
     """
     head, _, rest = read_bytes(path, max_bytes=_MAX_BYTES).partition(b"\n")
     if head.decode("utf-8", errors="replace").strip() != _HEADER:
-        raise FileFormatError(path, where="line 1", expected=_HEADER, found=repr(head[:80]))
+        raise FileFormatError(path, where="line 1", expected=_HEADER, got=repr(head[:80]))
     columns = parse_table(rest.rstrip(), dtypes=[np.dtype(np.float64)] * 5, separator=",", path=path, line=2)
     return np.column_stack(columns[:3]), np.column_stack(columns[3:])

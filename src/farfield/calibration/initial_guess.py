@@ -134,12 +134,12 @@ def read_clicked(path: Path, *, unit_m: float = 1.0) -> dict[str, Float[np.ndarr
     points = _rows(path)
     missing = [name for name in _NEEDED if name not in points]
     if missing:
-        raise FileFormatError(path, where="the names", expected=", ".join(_NEEDED), found=f"no {', '.join(missing)}")
+        raise FileFormatError(path, where="the names", expected=", ".join(_NEEDED), got=f"no {', '.join(missing)}")
     ahead, left = points["front"] - points["rear"], points["left"] - points["right"]
     lengths = float(np.linalg.norm(ahead)), float(np.linalg.norm(left))
     if min(lengths) < 1e-6 or abs(float(ahead @ left)) > _SQUARE * lengths[0] * lengths[1]:
         expected = "front - rear across left - right"
-        raise FileFormatError(path, where="front, rear, left, right", expected=expected, found=f"{ahead}, {left}")
+        raise FileFormatError(path, where="front, rear, left, right", expected=expected, got=f"{ahead}, {left}")
     x = ahead / lengths[0]
     z = np.cross(x, left)
     z /= np.linalg.norm(z)
@@ -152,16 +152,16 @@ def _rows(path: Path) -> dict[str, Float[np.ndarray, " 3"]]:
     text = read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8-sig", errors="replace")
     rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text)) if any(map(str.strip, row))]
     if not rows or [cell.lower() for cell in rows[0]] != _HEADER:
-        raise FileFormatError(path, where="line 1", expected=",".join(_HEADER), found=repr(rows[:1])[:80])
+        raise FileFormatError(path, where="line 1", expected=",".join(_HEADER), got=repr(rows[:1])[:80])
     points: dict[str, np.ndarray] = {}
     for number, row in enumerate(rows[1:], 2):
         try:
             name, point = row[0].lower(), np.array([float(cell) for cell in row[1:]])
         except ValueError as error:
-            raise FileFormatError(path, where=f"row {number}", expected="three numbers", found=str(error)) from None
+            raise FileFormatError(path, where=f"row {number}", expected="three numbers", got=str(error)) from None
         if point.shape != (3,) or not np.isfinite(point).all() or name in points:
             expected = "a new name and three finite numbers"
-            raise FileFormatError(path, where=f"row {number}", expected=expected, found=repr(row)[:80])
+            raise FileFormatError(path, where=f"row {number}", expected=expected, got=repr(row)[:80])
         points[name] = point
     return points
 

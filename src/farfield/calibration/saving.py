@@ -73,7 +73,7 @@ def save_camera(path: Path, name: str, before: Camera, after: Camera) -> list[Pa
     if path.suffix == ".yml":
         return save_kradar_camera(path, after, camera_number(name))
     if path.suffix != ".json":
-        raise FileFormatError(path, where="its name", expected=".txt, .yml or .json", found=path.suffix or "none")
+        raise FileFormatError(path, where="its name", expected=".txt, .yml or .json", got=path.suffix or "none")
     return _save_own_camera(path, name, after)
 
 
@@ -108,7 +108,7 @@ def save_kitti_camera(path: Path, before: Camera, after: Camera) -> list[Path]:
     matrices: Mapping[str, np.ndarray] = read_calib(path)
     name = next((key for key in ("Tr_velo_to_cam", "Tr_velo_cam") if key in matrices), None)
     if name is None:
-        raise FileFormatError(path, where="the file", expected="Tr_velo_to_cam", found=", ".join(matrices))
+        raise FileFormatError(path, where="the file", expected="Tr_velo_to_cam", got=", ".join(matrices))
     old = np.vstack([matrices[name], [0.0, 0.0, 0.0, 1.0]])
     new = old @ invert(before.camera_T_lidar) @ after.camera_T_lidar
     text = read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8")

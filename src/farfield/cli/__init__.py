@@ -14,12 +14,12 @@ from farfield.errors import FarfieldError, MissingExtraError
 
 VERBS = {
     "demo": "simulate, detect, score and report: no data, no GPU",
-    "doctor": "say what a data set holds, what is missing and how to mend it",
+    "doctor": "say what a data set holds, what is missing and how to fix it",
     "stats": "count a data set: frames by condition, boxes by class, range, visibility",
     "radar": "look at 4D radar frames: power, Doppler, echoes, beside the camera",
     "show": "draw one frame from above: a cloud, or the radar's power",
     "view": "look at a data set in the browser, with detections beside the truth",
-    "annotate": "draw and mend boxes and tracks in the browser",
+    "annotate": "draw and fix boxes and tracks in the browser",
     "new-dataset": "write an example of an own data set, to put your own files in its place",
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",

@@ -80,8 +80,8 @@ def run(
         faults = verify_all(dataset, target, to=to, boxes=boxes, cloud=cloud, store=store)
         if faults:
             shown = "".join(f"\n  {fault}" for fault in faults[:20]) + ("\n  ..." if len(faults) > 20 else "")
-            mend = "Convert again without --verify to mend them."
-            raise DatasetError(f"{target}: expected all to be intact, found {len(faults)} that are not. {mend}{shown}")
+            fix = "Convert again without --verify to fix them."
+            raise DatasetError(f"{target}: expected all to be intact, found {len(faults)} that are not. {fix}{shown}")
         print(f"{len(dataset)} frames: what was written is intact.")
         return
     if dry_run:

@@ -1,4 +1,4 @@
-"""``farfield doctor``: say what a data set holds, what is missing and how to mend it."""
+"""``farfield doctor``: say what a data set holds, what is missing and how to fix it."""
 
 import sys
 from pathlib import Path
@@ -26,7 +26,7 @@ def run(
     jobs: Jobs = ALL_CORES,
     json: Path | None = None,
 ) -> int:
-    """Say what a data set holds, what is missing and how to mend it.
+    """Say what a data set holds, what is missing and how to fix it.
 
     examples:
       farfield doctor Cirrus_dataset1
@@ -65,12 +65,12 @@ def _print(report: "DoctorReport") -> None:
     from rich.text import Text
 
     table = Table(title=f"{report.path} ({report.format})", title_justify="left")
-    for name in ("", "topic", "found", "how to mend"):
+    for name in ("", "topic", "found", "how to fix"):
         table.add_column(name, overflow="fold")
     for finding in report.present:
         severity = Text(finding.severity, style=_COLOURS[finding.severity])
         what = f"{finding.what} [{finding.where}]" if finding.where else finding.what
-        table.add_row(severity, Text(finding.topic), Text(what), Text(finding.mend))
+        table.add_row(severity, Text(finding.topic), Text(what), Text(finding.fix))
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(table)
     if report.absent:

@@ -46,14 +46,14 @@ def read_feather(path: Path, names: Sequence[str]) -> Table:
         missing = [name for name in names if name not in table.column_names]
         if missing:
             actual = f"columns {', '.join(table.column_names)[:200]}"
-            raise FileFormatError(path, where="the header", expected=f"columns {', '.join(names)}", found=actual)
+            raise FileFormatError(path, where="the header", expected=f"columns {', '.join(names)}", got=actual)
         table.validate(full=True)
         holed = [name for name in names if table.column(name).null_count]
         if holed:
-            raise FileFormatError(path, where="the table", expected="no nulls", found=f"some in {', '.join(holed)}")
+            raise FileFormatError(path, where="the table", expected="no nulls", got=f"some in {', '.join(holed)}")
         return {name: table.column(name).to_numpy() for name in names}
     except (pyarrow.ArrowException, OSError, ValueError) as error:
-        raise FileFormatError(path, where="the file", expected="a feather table", found=str(error)[:200]) from error
+        raise FileFormatError(path, where="the file", expected="a feather table", got=str(error)[:200]) from error
 
 
 class _Log:
@@ -238,7 +238,7 @@ def _annotation(path: Path, where: str, table: Table, classes: str) -> Annotatio
             point_count=table["num_interior_pts"].astype(np.int64),
         )
     except ValueError as error:
-        raise FileFormatError(path, where=where, expected="possible boxes", found=str(error)) from error
+        raise FileFormatError(path, where=where, expected="possible boxes", got=str(error)) from error
     return Annotation(boxes=boxes, original_label=original)
 
 
@@ -248,11 +248,11 @@ def _read_sweep(path: Path) -> Cloud:
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0][0])
         actual = str(points[row].tolist())
-        raise FileFormatError(path, where=f"point {row}", expected="finite coordinates", found=actual)
+        raise FileFormatError(path, where=f"point {row}", expected="finite coordinates", got=actual)
     strength = table["intensity"].astype(np.float32) / np.float32(255)
     if not ((strength >= 0) & (strength <= 1)).all():
         actual = f"{strength.min() * 255:g} to {strength.max() * 255:g}"
-        raise FileFormatError(path, where="column intensity", expected="values from 0 to 255", found=actual)
+        raise FileFormatError(path, where="column intensity", expected="values from 0 to 255", got=actual)
     return Cloud(points, strength, {"ring": table["laser_number"], "offset_ns": table["offset_ns"]})
 
 

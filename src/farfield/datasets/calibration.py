@@ -63,13 +63,13 @@ def read_calibration(path: Path | str, *, inverse: bool = False) -> dict[str, Ca
             content = {"cameras": {"camera": content}}
         entries = _CalibrationFile.model_validate(content).cameras
     except ValidationError as error:
-        raise FileFormatError(path, where="keys", expected="cameras", found=plain(error), mend=_MEND) from error
+        raise FileFormatError(path, where="keys", expected="cameras", got=plain(error), fix=_FIX) from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON or YAML", found=plain(error)) from error
+        raise FileFormatError(path, where="the file", expected="JSON or YAML", got=plain(error)) from error
     return {name: _camera(path, name, entry, inverse) for name, entry in entries.items()}
 
 
-_MEND = "Give matrix (3 x 3), camera_T_lidar (4 x 4), and optionally distortion (5), width, height."
+_FIX = "Give matrix (3 x 3), camera_T_lidar (4 x 4), and optionally distortion (5), width, height."
 
 
 def _camera(path: Path | str, name: str, entry: _CameraEntry, inverse: bool) -> Camera:
@@ -80,8 +80,8 @@ def _camera(path: Path | str, name: str, entry: _CameraEntry, inverse: bool) -> 
             path,
             where=f"cameras.{name}.camera_T_lidar",
             expected="a rotation (orthonormal rows, determinant 1)",
-            found=f"rows off by {error:.3g}",
-            mend="Hand-tuned matrices distort the picture: calibrate anew or orthonormalise.",
+            got=f"rows off by {error:.3g}",
+            fix="Hand-tuned matrices distort the picture: calibrate anew or orthonormalise.",
         )
     return Camera(
         matrix=np.array(entry.matrix),

@@ -73,13 +73,13 @@ def read_boxes(path: Path | str) -> Boxes:
     try:
         entries = _BoxFile.model_validate_json(read_bytes(path, max_bytes=_MAX_BYTES)).boxes
     except ValidationError as error:
-        raise FileFormatError(path, where="keys", expected="boxes", found=plain(error)) from error
+        raise FileFormatError(path, where="keys", expected="boxes", got=plain(error)) from error
     if not entries:
         return Boxes.empty()
     scores = [entry.score for entry in entries]
     tracks = [-1 if entry.track_id is None else entry.track_id for entry in entries]
     if any(score is None for score in scores) and any(score is not None for score in scores):
-        raise FileFormatError(path, where="boxes", expected="a score for all boxes or for none", found="some")
+        raise FileFormatError(path, where="boxes", expected="a score for all boxes or for none", got="some")
     return Boxes(
         centre_m=np.array([entry.centre_m for entry in entries]),
         size_m=np.array([entry.size_m for entry in entries]),
@@ -100,7 +100,7 @@ def _velocities(path: Path | str, entries: Sequence[_BoxEntry]) -> Float[np.ndar
         return None
     if len(axes) > 1:
         expected = "as many numbers in every velocity_m_s"
-        raise FileFormatError(path, where="boxes", expected=expected, found="velocities of two and of three")
+        raise FileFormatError(path, where="boxes", expected=expected, got="velocities of two and of three")
     unknown = (np.nan,) * axes.pop()
     return np.array([unknown if entry.velocity_m_s is None else entry.velocity_m_s for entry in entries])
 
@@ -328,8 +328,8 @@ def read_class_mapping(path: Path | str) -> Mapping[str, str]:
         content = yaml.safe_load(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
         return _Classes.model_validate({} if content is None else content).classes
     except ValidationError as error:
-        mend = "An own folder's mapping has one key, such as classes: {Auto: vehicle}."
-        raise ConfigError(f"{path}: {plain(error)}. {mend}") from error
+        fix = "An own folder's mapping has one key, such as classes: {Auto: vehicle}."
+        raise ConfigError(f"{path}: {plain(error)}. {fix}") from error
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
 

@@ -208,9 +208,9 @@ def read_meta(path: Path) -> dict[str, str]:
     try:
         meta = json.loads(read_bytes(path, max_bytes=1 << 20).decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="a JSON object", found=plain(error)) from error
+        raise FileFormatError(path, where="the file", expected="a JSON object", got=plain(error)) from error
     if not isinstance(meta, dict):
-        raise FileFormatError(path, where="the file", expected="a JSON object", found=type(meta).__name__)
+        raise FileFormatError(path, where="the file", expected="a JSON object", got=type(meta).__name__)
     return {str(key): str(value) for key, value in meta.items()}
 
 
@@ -245,7 +245,7 @@ def lidar_cloud(path: Path) -> Cloud:
     points = np.column_stack([rows[:, 1], -rows[:, 0], rows[:, 2]]) + np.array(RADAR_T_LIDAR_M)
     if not ((rows[:, 3] >= 0) & (rows[:, 3] <= 255)).all():
         actual = f"{rows[:, 3].min():g} to {rows[:, 3].max():g}"
-        raise FileFormatError(path, where="column 4, intensity", expected="values from 0 to 255", found=actual)
+        raise FileFormatError(path, where="column 4, intensity", expected="values from 0 to 255", got=actual)
     intensity = (rows[:, 3] / 255).astype(np.float32)
     return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)})
 

@@ -129,11 +129,11 @@ def _read_annotation(path: Path) -> Annotation:
 def _camera(path: Path, image: Path | None) -> Camera:
     content: Any = parse_json(read_bytes(path, max_bytes=MAX_BYTES), path, max_bytes=MAX_BYTES)
     if not isinstance(content, dict):
-        raise FileFormatError(path, where="the root", expected="an object", found=repr(content)[:80])
+        raise FileFormatError(path, where="the root", expected="an object", got=repr(content)[:80])
     pose = np.array(numbers(content.get("extrinsic"), 16, path, "extrinsic", "a matrix row by row")).reshape(4, 4)
     matrix = np.array(numbers(content.get("intrinsic"), 9, path, "intrinsic", "a matrix row by row")).reshape(3, 3)
     if not 0.9 < float(np.linalg.det(pose[:3, :3])) < 1.1 or matrix[0, 0] <= 0:
         expected = "a motion from the LiDAR to the camera and a positive focal length"
-        raise FileFormatError(path, where="extrinsic", expected=expected, found=repr(pose[:3].tolist())[:120])
+        raise FileFormatError(path, where="extrinsic", expected=expected, got=repr(pose[:3].tolist())[:120])
     width, height = (0, 0) if image is None else image_size(image)
     return Camera(matrix=matrix, camera_T_lidar=pose, width_px=width, height_px=height)

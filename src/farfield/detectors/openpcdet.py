@@ -173,14 +173,14 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
             path,
             where="pickle",
             expected="a PyTorch checkpoint of tensors and plain values",
-            found=str(error).splitlines()[0][:200] if str(error) else type(error).__name__,
-            mend="Save its 'model_state' alone with torch.save where it was made.",
+            got=str(error).splitlines()[0][:200] if str(error) else type(error).__name__,
+            fix="Save its 'model_state' alone with torch.save where it was made.",
         ) from error
     state = content.get("model_state", content) if isinstance(content, dict) else content
     strange = [] if not isinstance(state, dict) else [str(k) for k, v in state.items() if not isinstance(v, Tensor)]
     if not isinstance(state, dict) or not state or strange:
         content_words = f"other values at {', '.join(strange[:5])}" if strange else type(state).__name__
-        raise FileFormatError(path, where="model_state", expected="a dictionary of tensors", found=content_words)
+        raise FileFormatError(path, where="model_state", expected="a dictionary of tensors", got=content_words)
     return {str(key): value for key, value in state.items()}
 
 

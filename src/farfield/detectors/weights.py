@@ -72,7 +72,7 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except SafetensorError as error:
-        raise FileFormatError(path, where="header", expected="safetensors", found=str(error)) from error
+        raise FileFormatError(path, where="header", expected="safetensors", got=str(error)) from error
     tensors = {name: t.float() if t.dtype == torch.float16 else t for name, t in tensors.items()}
     is_ours = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
     if not is_ours or sum(map(len, metadata.values())) > _MAX_METADATA_BYTES:
@@ -80,8 +80,8 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
             path,
             where="metadata",
             expected="format farfield-detector-1",
-            found=repr(metadata.get("format")),
-            mend="Weights of other codebases need an import first.",
+            got=repr(metadata.get("format")),
+            fix="Weights of other codebases need an import first.",
         )
     try:
         described, provenance = json.loads(metadata["config"]), json.loads(metadata["provenance"])
@@ -91,8 +91,8 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
                 path,
                 where="configuration",
                 expected=f"a detector that is installed, one of {', '.join(DETECTORS)}",
-                found=name,
-                mend=f"Install the package that has the detector {name}.",
+                got=name,
+                fix=f"Install the package that has the detector {name}.",
             )
         config = DETECTORS[name].config_class.model_validate(described)
         with torch.device("meta"):  # shapes only: nothing is allocated on the word of the file
@@ -102,7 +102,7 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         raise
     except (ValueError, KeyError, TypeError, RuntimeError, FarfieldError) as error:
         raise FileFormatError(
-            path, where="configuration and tensors", expected="those of one detector", found=plain(error)[:300]
+            path, where="configuration and tensors", expected="those of one detector", got=plain(error)[:300]
         ) from error
     return network.eval(), provenance
 

@@ -1,5 +1,6 @@
-"""The errors that users meet. Each says what, where, expected, got, and how to mend it."""
+"""The errors that users meet. Each says what, where, expected, got, and how to fix it."""
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -31,17 +32,25 @@ class FileFormatError(FarfieldError):
         path: The file, or a name for bytes that came from elsewhere.
         where: Line or byte, such as ``"line 7"`` or ``"byte 1024"``.
         expected: What the format requires.
-        found: What stands there instead.
-        mend: How to mend it, if that is known.
+        got: What stands there instead.
+        fix: How to fix it, if that is known.
+        **old_names: ``got`` and ``fix`` by the names that they had before, ``found`` and ``mend``.
     """
 
-    def __init__(self, path: Path | str, *, where: str, expected: str, found: str, mend: str = "") -> None:
-        self.path, self.where, self.expected, self.found, self.mend = path, where, expected, found, mend
-        super().__init__(f"{path}, {where}: expected {expected}, found {found}." + (f" {mend}" if mend else ""))
+    def __init__(
+        self, path: Path | str, *, where: str, expected: str, got: str = "", fix: str = "", **old_names: str
+    ) -> None:
+        for old in old_names:
+            if old not in ("found", "mend"):
+                raise TypeError(f"FileFormatError: got an unexpected keyword argument {old!r}")
+            warnings.warn("FileFormatError: found= is got= now, mend= is fix=", DeprecationWarning, stacklevel=2)
+        got, fix = old_names.get("found", got), old_names.get("mend", fix)
+        self.path, self.where, self.expected, self.got, self.fix = path, where, expected, got, fix
+        super().__init__(f"{path}, {where}: expected {expected}, found {got}." + (f" {fix}" if fix else ""))
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        keywords = {"where": self.where, "expected": self.expected, "found": self.found, "mend": self.mend}
-        return partial(FileFormatError, **keywords), (self.path,)
+        stated = {"where": self.where, "expected": self.expected, "got": self.got, "fix": self.fix}
+        return partial(FileFormatError, **stated), (self.path,)
 
 
 class DatasetError(FarfieldError):
@@ -63,11 +72,11 @@ class MissingExtraError(FarfieldError, ImportError):
     """An optional dependency is not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        self.known = (package, extra, purpose)
+        self.needed = (package, extra, purpose)
         super().__init__(f"{purpose} needs {package}. Install it with: {advice(extra)}")
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return MissingExtraError, self.known
+        return MissingExtraError, self.needed
 
     @classmethod
     def of(cls, error: ImportError, purpose: str) -> "MissingExtraError | None":

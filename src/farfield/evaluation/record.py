@@ -140,13 +140,13 @@ class Evaluation:
                     path,
                     where=f"key {name!r}",
                     expected="an object",
-                    found=actual,
-                    mend="Give the evaluation.json of `farfield evaluate` or the JSON of `farfield score --json`.",
+                    got=actual,
+                    fix="Give the evaluation.json of `farfield evaluate` or the JSON of `farfield score --json`.",
                 )
         frames = []
         for name in content.get("frames", []):
             if not (isinstance(name, str) and name.isalnum()):
-                raise FileFormatError(path, where="key 'frames'", expected="names such as '0000'", found=repr(name))
+                raise FileFormatError(path, where="key 'frames'", expected="names such as '0000'", got=repr(name))
             frame, predictions, title, radar_db = load_frame(path.parent / "frames", name)
             frames.append(FrameView(frame=frame, predictions=predictions, title=title, radar_db=radar_db))
         return cls(
@@ -164,10 +164,10 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
+        raise FileFormatError(path, where="the file", expected="JSON", got=plain(error)) from error
     if not isinstance(content, dict):
         actual = type(content).__name__
-        raise FileFormatError(path, where="the file", expected="a JSON object", found=actual)
+        raise FileFormatError(path, where="the file", expected="a JSON object", got=actual)
     return content
 
 
@@ -296,7 +296,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         reason = plain(error)
         raise FileFormatError(
-            path, where="the frame", expected="a frame as `save_frame` writes it", found=reason
+            path, where="the frame", expected="a frame as `save_frame` writes it", got=reason
         ) from error
     predicted = {part.removeprefix("predicted/"): boxes for part, boxes in sets.items()}
     boxes = predicted.get("") if set(predicted) <= {""} else predicted
@@ -307,7 +307,7 @@ def _radar_map(path: Path, power_db: np.ndarray | None) -> Float32[np.ndarray, "
     if power_db is None or (power_db.shape == _MAP_SHAPE and power_db.dtype == np.float32):
         return power_db
     expected, actual = f"a float32 map of shape {_MAP_SHAPE}", f"{power_db.dtype} of shape {power_db.shape}"
-    raise FileFormatError(path, where="the radar's power", expected=expected, found=actual)
+    raise FileFormatError(path, where="the radar's power", expected=expected, got=actual)
 
 
 def _boxes(arrays: Mapping[str, np.ndarray], name: str, labels: list[str]) -> Boxes:

@@ -51,7 +51,7 @@ def _chunk_end(data: bytes, start: int, *, path: Path | str, line: int) -> int:
     end = data.rfind(b"\n", start, stop)
     if end < 0:
         actual = f"more than {_CHUNK_BYTES} bytes in one line"
-        raise FileFormatError(path, where=f"line {line}", expected="a line of numbers", found=actual)
+        raise FileFormatError(path, where=f"line {line}", expected="a line of numbers", got=actual)
     return end
 
 
@@ -86,13 +86,13 @@ def _fault(
     for number, text in enumerate(lines, start=line):
         cells, where = text.split(separator), f"line {number}"
         if len(cells) != len(dtypes):
-            actual, mend = f"{len(cells)} in {text[:80]!r}", "The file may be truncated or spliced."
-            return FileFormatError(path, where=where, expected=f"{len(dtypes)} columns", found=actual, mend=mend)
+            actual, fix = f"{len(cells)} in {text[:80]!r}", "The file may be truncated or spliced."
+            return FileFormatError(path, where=where, expected=f"{len(dtypes)} columns", got=actual, fix=fix)
         for cell, dtype in zip(cells, dtypes, strict=True):
             if not _fits(cell, dtype):
-                return FileFormatError(path, where=where, expected=f"a number ({dtype})", found=repr(cell[:80]))
+                return FileFormatError(path, where=where, expected=f"a number ({dtype})", got=repr(cell[:80]))
     where = f"lines {line} to {line + len(lines) - 1}"
-    return FileFormatError(path, where=where, expected="numbers that fit their columns", found=reason)
+    return FileFormatError(path, where=where, expected="numbers that fit their columns", got=reason)
 
 
 def _fits(text: str, dtype: np.dtype) -> bool:

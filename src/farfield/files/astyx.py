@@ -55,13 +55,13 @@ def read_points(path: Path | str, columns: Sequence[str]) -> list[Float[np.ndarr
     head, _, body = lines.partition(b"\n")
     if head.decode("ascii", errors="replace").split() != list(columns):
         actual = repr(head[:80].decode("ascii", errors="replace"))
-        raise FileFormatError(path, where="the header", expected=" ".join(columns), found=actual)
+        raise FileFormatError(path, where="the header", expected=" ".join(columns), got=actual)
     if not body:
-        raise FileFormatError(path, where="the points", expected="at least one", found="none")
+        raise FileFormatError(path, where="the points", expected="at least one", got="none")
     table = parse_table(body, dtypes=[np.dtype(np.float64)] * len(columns), separator=None, path=path, line=3)
     for name, column in zip(columns, table, strict=True):
         if not np.isfinite(column).all():
-            raise FileFormatError(path, where=f"column {name}", expected="finite numbers", found="others")
+            raise FileFormatError(path, where=f"column {name}", expected="finite numbers", got="others")
     return table
 
 
@@ -76,13 +76,13 @@ def read_sensors(path: Path | str) -> dict[str, Mapping[str, Float[np.ndarray, "
     for number, sensor in enumerate(_listed(content, "sensors", path)):
         where, name, data = f"sensors[{number}]", sensor.get("sensor_uid"), sensor.get("calib_data")
         if not isinstance(name, str) or not isinstance(data, dict):
-            raise FileFormatError(path, where=where, expected="sensor_uid and calib_data", found=repr(sensor)[:80])
+            raise FileFormatError(path, where=where, expected="sensor_uid and calib_data", got=repr(sensor)[:80])
         matrices = {"T_to_ref_COS": _matrix(data.get("T_to_ref_COS"), 4, path, where)}
         if data.get("K") is not None:
             matrices["K"] = _matrix(data["K"], 3, path, where)
         pose = matrices["T_to_ref_COS"]
         if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-2) or np.linalg.det(pose[:3, :3]) < 0:
-            raise FileFormatError(path, where=where, expected="a rotation and a place", found=repr(pose.tolist())[:120])
+            raise FileFormatError(path, where=where, expected="a rotation and a place", got=repr(pose.tolist())[:120])
         poses[name] = matrices
     return poses
 
@@ -107,20 +107,20 @@ def _object(entry: Mapping[str, Any], path: Path | str, where: str) -> AstyxObje
     kinds = [entry.get(key, -1) for key in ("occlusion", "label_certainty")]
     if not isinstance(name, str) or min(size) <= 0 or abs(np.linalg.norm(turned) - 1) > _UNIT:
         expected = "a class, a positive size and a unit quaternion"
-        raise FileFormatError(path, where=where, expected=expected, found=repr(entry)[:120])
+        raise FileFormatError(path, where=where, expected=expected, got=repr(entry)[:120])
     if not all(isinstance(kind, int) for kind in kinds):
-        raise FileFormatError(path, where=where, expected="whole occlusion and label_certainty", found=repr(kinds)[:80])
+        raise FileFormatError(path, where=where, expected="whole occlusion and label_certainty", got=repr(kinds)[:80])
     return AstyxObject(name, tuple(centre), tuple(size), tuple(turned), *kinds)
 
 
 def _listed(content: Any, key: str, path: Path | str) -> list[Mapping[str, Any]]:
     entries = content.get(key) if isinstance(content, dict) else None
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise FileFormatError(path, where=key, expected="a list of objects", found=repr(entries)[:80])
+        raise FileFormatError(path, where=key, expected="a list of objects", got=repr(entries)[:80])
     return entries
 
 
 def _matrix(value: Any, side: int, path: Path | str, where: str) -> Float[np.ndarray, "r c"]:
     if not isinstance(value, list) or len(value) != side:
-        raise FileFormatError(path, where=where, expected=f"{side} rows", found=repr(value)[:80])
+        raise FileFormatError(path, where=where, expected=f"{side} rows", got=repr(value)[:80])
     return np.array([numbers(row, side, path, where, f"{side} numbers a row") for row in value])

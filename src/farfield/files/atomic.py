@@ -28,14 +28,14 @@ def read_bytes(path: Path | str, *, max_bytes: int = MAX_BYTES) -> bytes:
     with Path(path).open("rb") as handle:
         status = os.fstat(handle.fileno())
         if not stat.S_ISREG(status.st_mode):
-            raise FileFormatError(path, where="the file", expected="a regular file", found="a device or a pipe")
+            raise FileFormatError(path, where="the file", expected="a regular file", got="a device or a pipe")
         if status.st_size > max_bytes:
             raise FileFormatError(
                 path,
                 where="the file",
                 expected=f"at most {max_bytes} bytes",
-                found=f"{status.st_size} bytes",
-                mend="Pass a larger max_bytes if the file is meant to be so large.",
+                got=f"{status.st_size} bytes",
+                fix="Pass a larger max_bytes if the file is meant to be so large.",
             )
         data = handle.read(status.st_size)
     if data.startswith(_LFS_POINTER):
@@ -43,8 +43,8 @@ def read_bytes(path: Path | str, *, max_bytes: int = MAX_BYTES) -> bytes:
             path,
             where="byte 0",
             expected="the file itself",
-            found="a pointer of Git LFS, which stands for it",
-            mend="Fetch the files: git lfs pull.",
+            got="a pointer of Git LFS, which stands for it",
+            fix="Fetch the files: git lfs pull.",
         )
     return data
 

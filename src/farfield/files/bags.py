@@ -142,7 +142,7 @@ class Bag:
             if start_ns is None and stop_ns is None and counts[name] != topic.size:
                 raise FileFormatError(
                     self.path, where=f"topic {name}", expected=f"{topic.size} messages",
-                    found=f"{counts[name]}", mend="The bag is cut; `ros2 bag reindex` may save what is left.",
+                    got=f"{counts[name]}", fix="The bag is cut; `ros2 bag reindex` may save what is left.",
                 )  # fmt: skip
 
     def stamps(self, names: Collection[str] = ()) -> dict[str, Stamps]:
@@ -190,7 +190,7 @@ class Bag:
         for number, (topic, _, raw) in enumerate(self.messages([name], start_ns=log_ns, stop_ns=log_ns + 1)):
             if number == repeat:
                 return self.decode(topic, raw)
-        raise FileFormatError(self.path, where=f"topic {name}", expected=f"a message at {log_ns} ns", found="none")
+        raise FileFormatError(self.path, where=f"topic {name}", expected=f"a message at {log_ns} ns", got="none")
 
 
 def header_ns(path: Path, number: int, raw: bytes) -> int:
@@ -236,7 +236,7 @@ def _check_size(path: Path) -> None:
     claimed_bytes = page * int.from_bytes(head[28:32], "big")
     if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < claimed_bytes:
         raise FileFormatError(
-            path, where="the file", expected=f"an SQLite file of {claimed_bytes} bytes", found=f"{size} bytes"
+            path, where="the file", expected=f"an SQLite file of {claimed_bytes} bytes", got=f"{size} bytes"
         )
 
 
@@ -249,12 +249,12 @@ def guarded(path: Path | str, where: str) -> Iterator[None]:
         raise
     except Exception as error:  # the library lets Unicode, key, memory and other errors of damaged bytes through
         actual = f"{type(error).__name__}: {error}"[:200]
-        mend = "A recorder that was killed leaves no end; `ros2 bag reindex` may save what is left."
-        raise FileFormatError(path, where=where, expected="a whole bag", found=actual, mend=mend) from error
+        fix = "A recorder that was killed leaves no end; `ros2 bag reindex` may save what is left."
+        raise FileFormatError(path, where=where, expected="a whole bag", got=actual, fix=fix) from error
 
 
 def _wrong(path: Path, number: int, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"message {number}", expected=expected, found=actual)
+    return FileFormatError(path, where=f"message {number}", expected=expected, got=actual)
 
 
 # Bags that would fill the memory or the disk: sizes that records claim are checked before anything is unpacked.
@@ -307,7 +307,7 @@ def _check_chunk(path: Path, number: int, head: bytes, length: int) -> None:
 
 
 def _too_large(path: Path, number: int, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"record {number}", expected=expected, found=actual)
+    return FileFormatError(path, where=f"record {number}", expected=expected, got=actual)
 
 
 def bounded() -> None:
@@ -379,7 +379,7 @@ def check_packed_file(path: Path) -> None:
                 unpacked_bytes += len(block)
                 if unpacked_bytes > most:
                     raise FileFormatError(
-                        path, where="the file", expected=f"at most {most} bytes when unpacked", found="more"
+                        path, where="the file", expected=f"at most {most} bytes when unpacked", got="more"
                     )
     except (OSError, EOFError, zstd.ZstdError) as error:
-        raise FileFormatError(path, where="the file", expected="a file packed with zstd", found=str(error)) from error
+        raise FileFormatError(path, where="the file", expected="a file packed with zstd", got=str(error)) from error

@@ -55,7 +55,7 @@ def read_boreas_objects(path: Path | str) -> BoreasObjects:
         values = _numbers(fields[2:]) if len(fields) == _CELLS else None
         if values is None or min(values[:3]) <= 0 or values[7] < 0:
             expected = "uuid, class, positive length width height, x y z, yaw, number of points"
-            raise FileFormatError(path, where=f"line {number}", expected=expected, found=line[:100])
+            raise FileFormatError(path, where=f"line {number}", expected=expected, got=line[:100])
         names.append((fields[0], fields[1]))
         rows.append(values)
     table = np.array(rows, dtype=np.float64).reshape(-1, _CELLS - 2)
@@ -82,7 +82,7 @@ def read_boreas_poses(path: Path | str) -> tuple[Int[np.ndarray, " n"], Float[np
         values = _numbers(cells[1:]) if len(cells) == _POSE_COLUMNS else None
         if values is None or not (cells[0].isdigit() and len(cells[0]) <= 16):
             expected = "microseconds, easting, northing, altitude, three velocities, roll, pitch, heading, three rates"
-            raise FileFormatError(path, where=f"line {number}", expected=expected, found=line[:100])
+            raise FileFormatError(path, where=f"line {number}", expected=expected, got=line[:100])
         times.append(int(cells[0]) * 1000)
         rows.append(values)
     table = np.array(rows, dtype=np.float64).reshape(-1, _POSE_COLUMNS - 1)

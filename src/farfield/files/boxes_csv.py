@@ -180,7 +180,7 @@ def _velocity_cells(velocity_m_s: Float[np.ndarray, "n axes"]) -> dict[str, list
 
 
 def _wrong(path: Path | str, line: int, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"line {line}", expected=expected, found=actual)
+    return FileFormatError(path, where=f"line {line}", expected=expected, got=actual)
 
 
 def _decoded(data: bytes, path: Path | str) -> str:
@@ -188,7 +188,7 @@ def _decoded(data: bytes, path: Path | str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         actual = f"byte 0x{error.object[error.start]:02x}"
-        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=actual) from None
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", got=actual) from None
 
 
 def _csv_rows(path: Path | str, text: str) -> Iterator[tuple[int, list[str]]]:
@@ -211,15 +211,15 @@ def _check_header(path: Path | str, header: list[str]) -> None:
             path,
             where="line 1",
             expected=f"a header with each of {', '.join(_NEEDED)} once (and perhaps {perhaps})",
-            found=actual,
-            mend=_mend(header, missing),
+            got=actual,
+            fix=_fix(header, missing),
         )
     axes = [name for name in _VELOCITY if name in header]
     if axes and axes[:2] != list(_VELOCITY[:2]):
-        raise FileFormatError(path, where="line 1", expected="vx_m_s and vy_m_s, or no velocities", found=actual)
+        raise FileFormatError(path, where="line 1", expected="vx_m_s and vy_m_s, or no velocities", got=actual)
 
 
-def _mend(header: list[str], missing: list[str]) -> str:
+def _fix(header: list[str], missing: list[str]) -> str:
     if len(header) == 1:
         for letter, word in ((";", "semicolons"), ("\t", "tabs"), (" ", "blanks")):
             if letter in header[0]:
@@ -250,7 +250,7 @@ def _assemble(path: Path | str, texts: dict[str, list[str]], numbers: dict[str, 
     if score is not None and np.isnan(score).any():
         if not np.isnan(score).all():
             raise FileFormatError(
-                path, where="column score", expected="a score in every row or in none", found="both kinds of rows"
+                path, where="column score", expected="a score in every row or in none", got="both kinds of rows"
             )
         score = None
     names = {name: np.array(values, dtype=np.str_) if values else np.empty(0, "<U1") for name, values in texts.items()}
@@ -261,7 +261,7 @@ def _assemble(path: Path | str, texts: dict[str, list[str]], numbers: dict[str, 
             "one reference in all rows: the boxes of a file share their coordinates",
             ", ".join(references),
         )
-        raise FileFormatError(path, where="column reference", expected=expected, found=actual[:80])
+        raise FileFormatError(path, where="column reference", expected=expected, got=actual[:80])
     return BoxRows(
         frame=names["frame"],
         label=names["label"],
@@ -287,7 +287,7 @@ def _velocity(path: Path | str, numbers: dict[str, np.ndarray]) -> Float[np.ndar
     torn = np.flatnonzero(unknown.any(axis=1) != unknown.all(axis=1))
     if len(torn):
         expected = f"{', '.join(_VELOCITY[: len(columns)])} all with a number or all empty"
-        raise FileFormatError(path, where=f"box {torn[0] + 1}", expected=expected, found="both kinds of cells")
+        raise FileFormatError(path, where=f"box {torn[0] + 1}", expected=expected, got="both kinds of cells")
     return velocity
 
 
@@ -405,12 +405,12 @@ def read_fields(path: Path | str, *, frame: str | None, sequence: str | None) ->
     return {name: None if getattr(rows, name) is None else getattr(rows, name)[keep] for name in names}
 
 
-def _check_one_frame(where: str, keys: Mapping[str, Shaped[np.ndarray, " n"]], mend: str) -> None:
+def _check_one_frame(where: str, keys: Mapping[str, Shaped[np.ndarray, " n"]], fix: str) -> None:
     if not keys:
         return
     frames = set(zip(*(map(str, column) for column in keys.values()), strict=True))
     if len(frames) > 1:
-        raise ConfigError(f"{where}: expected the boxes of one frame, got {len(frames)}; {mend}")
+        raise ConfigError(f"{where}: expected the boxes of one frame, got {len(frames)}; {fix}")
 
 
 def write_fields(path: Path | str, boxes: Mapping[str, Any], *, frame: str, sequence: str) -> None:

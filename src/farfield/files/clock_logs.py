@@ -92,8 +92,8 @@ def read_clock_log(path: Path | str) -> ClockLog:
             "none" if not kinds else " and ".join(sorted(f"{p} ({'summaries' if s else 'offsets'})" for p, s in kinds))
         )
         raise FileFormatError(
-            path, where="the file", expected="offsets of one program, ptp4l or phc2sys, in one form", found=quoted,
-            mend="Give each program a file of its own.",
+            path, where="the file", expected="offsets of one program, ptp4l or phc2sys, in one form", got=quoted,
+            fix="Give each program a file of its own.",
         )  # fmt: skip
     ((program, summary),) = kinds
     return ClockLog(
@@ -119,4 +119,4 @@ def _row(path: Path, number: int, fields: dict[str, str]) -> tuple[int, int, flo
 
 
 def _wrong(path: Path, number: int, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"line {number}", expected=expected, found=actual)
+    return FileFormatError(path, where=f"line {number}", expected=expected, got=actual)

@@ -50,8 +50,8 @@ def read_bin(
             path,
             where=f"byte {points * 4 * columns}",
             expected=f"at least one point and {4 * columns} bytes ({columns} float32) for each",
-            found=f"{len(data)} bytes: {points} points and {rest} bytes more",
-            mend="The file is truncated, or has another number of columns (columns=).",
+            got=f"{len(data)} bytes: {points} points and {rest} bytes more",
+            fix="The file is truncated, or has another number of columns (columns=).",
         )
     rows = np.frombuffer(data, dtype="<f4").reshape(points, columns).astype(np.float32)
     finite = np.isfinite(rows).all(axis=1)
@@ -61,8 +61,8 @@ def read_bin(
             path,
             where=f"byte {bad * 4 * columns} (point {bad})",
             expected="finite numbers",
-            found=str(rows[bad].tolist()),
-            mend="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
+            got=str(rows[bad].tolist()),
+            fix="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
         )
     return rows if finite.all() else rows[finite]
 
@@ -121,27 +121,27 @@ def read_cache(path: Path | str, *, max_bytes: int = MAX_BYTES) -> dict[str, np.
     data = read_bytes(path, max_bytes=max_bytes)
     start = len(_MAGIC) + 4
     if data[: len(_MAGIC)] != _MAGIC or len(data) < start:
-        raise FileFormatError(path, where="byte 0", expected=f"the magic {_MAGIC!r}", found=repr(data[:12]))
+        raise FileFormatError(path, where="byte 0", expected=f"the magic {_MAGIC!r}", got=repr(data[:12]))
     length = int.from_bytes(data[len(_MAGIC) : start], "little")
     if length > min(_HEADER_BYTES, len(data) - start):
         actual = f"{length}, in a file of {len(data)} bytes"
-        raise FileFormatError(path, where="byte 8", expected="the length of a header in the file", found=actual)
+        raise FileFormatError(path, where="byte 8", expected="the length of a header in the file", got=actual)
     table, checksum = _parse_header(data[start : start + length], path=path)
     payload = memoryview(data)[start + length :]
     expected_bytes = sum(_bytes_of(column) for column in table)
     if len(payload) != expected_bytes:
         where, actual = f"byte {start + length}", f"{len(payload)} bytes"
-        raise FileFormatError(path, where=where, expected=f"{expected_bytes} bytes of columns", found=actual)
+        raise FileFormatError(path, where=where, expected=f"{expected_bytes} bytes of columns", got=actual)
     if zlib.crc32(payload) != checksum:
         where, actual = f"byte {start + length}", f"{zlib.crc32(payload)}"
-        mend = "The file is damaged; write it again."
-        raise FileFormatError(path, where=where, expected=f"CRC-32 {checksum}", found=actual, mend=mend)
+        fix = "The file is damaged; write it again."
+        raise FileFormatError(path, where=where, expected=f"CRC-32 {checksum}", got=actual, fix=fix)
     arrays, offset = {}, 0
     for column in table:
         part = np.frombuffer(payload, dtype=np.uint8, count=_bytes_of(column), offset=offset)
         if column["dtype"] == "|b1" and (part > 1).any():
             where, expected = f"byte {start + length + offset}", f"booleans in {column['name']!r}"
-            raise FileFormatError(path, where=where, expected=expected, found="bytes above 1")
+            raise FileFormatError(path, where=where, expected=expected, got="bytes above 1")
         arrays[column["name"]] = part.view(column["dtype"]).reshape(column["shape"]).copy()
         offset += part.size
     return arrays
@@ -159,10 +159,10 @@ def _parse_header(text: bytes, *, path: Path | str) -> tuple[list[dict[str, Any]
         good = isinstance(checksum, int) and len(set(names)) == len(names)
         good = good and all(_is_column(column) for column in table)
     except (ValueError, RecursionError, KeyError, TypeError) as error:
-        raise FileFormatError(path, where="byte 12", expected="a JSON header", found=plain(error)) from error
+        raise FileFormatError(path, where="byte 12", expected="a JSON header", got=plain(error)) from error
     if not good:
         expected = "columns with unique names, known dtypes and shapes"
-        raise FileFormatError(path, where="byte 12", expected=expected, found=repr(text[:120]))
+        raise FileFormatError(path, where="byte 12", expected=expected, got=repr(text[:120]))
     return table, checksum
 
 
@@ -234,8 +234,8 @@ def bin_columns(path: Path | str, *, max_bytes: int = MAX_BYTES) -> BinColumns:
             path,
             where="the file's size",
             expected=f"a whole number of points of {POSSIBLE[0]} to {POSSIBLE[-1]} float32",
-            found=f"{len(data)} bytes",
-            mend="The file is truncated, or no table of float32.",
+            got=f"{len(data)} bytes",
+            fix="The file is truncated, or no table of float32.",
         )
     if len(values) < _LEAST_VALUES:
         return _usual(path, fitting, values)
@@ -265,8 +265,8 @@ def _doubt(path: Path | str, counts: list[int]) -> FileFormatError:
         path,
         where="the columns",
         expected="numbers that show how many a point has",
-        found=f"what may be {' or '.join(str(count) for count in sorted(counts))} a point",
-        mend="Say how many with --columns, in Python bin_columns=; or the file is truncated, or no table of float32.",
+        got=f"what may be {' or '.join(str(count) for count in sorted(counts))} a point",
+        fix="Say how many with --columns, in Python bin_columns=; or the file is truncated, or no table of float32.",
     )
 
 

@@ -42,5 +42,5 @@ def read_coordinates(folder: Path) -> str:
     except UnicodeDecodeError:
         text = ""
     if not text or not text.isprintable():
-        raise FileFormatError(path, where="the file", expected="one line of text", found=repr(data[:40]))
+        raise FileFormatError(path, where="the file", expected="one line of text", got=repr(data[:40]))
     return text

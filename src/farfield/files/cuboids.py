@@ -49,7 +49,7 @@ def numbers(value: Any, count: int, path: Path | str, where: str, name: str) -> 
     values = [finite(number) for number in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
     finite_values = [number for number in values if number is not None]
     if len(values) != count or len(finite_values) != count:
-        raise FileFormatError(path, where=where, expected=f"{name} of {count} numbers", found=repr(value)[:80])
+        raise FileFormatError(path, where=where, expected=f"{name} of {count} numbers", got=repr(value)[:80])
     return finite_values
 
 
@@ -72,9 +72,9 @@ def checked(
         FileFormatError: If a size is not positive or beyond a kilometre, or the place beyond 100 km.
     """
     if not all(_LEAST_M <= size <= _LARGEST_M for size in size_m):
-        raise FileFormatError(path, where=where, expected="positive sizes in metres", found=repr(list(size_m)))
+        raise FileFormatError(path, where=where, expected="positive sizes in metres", got=repr(list(size_m)))
     if not all(abs(coordinate) <= _FARTHEST_M for coordinate in centre_m) or not abs(yaw_rad) <= _LARGEST_M:
-        raise FileFormatError(path, where=where, expected="a place and a yaw", found=repr([*centre_m, yaw_rad]))
+        raise FileFormatError(path, where=where, expected="a place and a yaw", got=repr([*centre_m, yaw_rad]))
     x, y, z = centre_m
     length, width, height = size_m
     return x, y, z, length, width, height, yaw_rad
@@ -88,7 +88,7 @@ def word(value: Any, path: Path | str, where: str, name: str) -> str:
     """
     text = str(value) if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**18 else value
     if not isinstance(text, str) or not 0 < len(text) <= 200 or not text.isprintable():
-        raise FileFormatError(path, where=where, expected=f"a text as {name}", found=repr(value)[:80])
+        raise FileFormatError(path, where=where, expected=f"a text as {name}", got=repr(value)[:80])
     return text
 
 

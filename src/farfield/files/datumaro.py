@@ -32,18 +32,18 @@ def parse_datumaro(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     content = parse_json(data, path)
     items = content.get("items") if isinstance(content, dict) else None
     if not isinstance(items, list):
-        raise FileFormatError(path, where="the root", expected="an object with items", found=repr(content)[:80])
+        raise FileFormatError(path, where="the root", expected="an object with items", got=repr(content)[:80])
     names = class_names(content, path)
     cuboids: list[CuboidEntry] = []
     for number, item in enumerate(items):
         entries = item.get("annotations", []) if isinstance(item, dict) else None
         if not isinstance(entries, list):
-            raise FileFormatError(path, where=f"item {number}", expected="annotations", found=repr(item)[:80])
+            raise FileFormatError(path, where=f"item {number}", expected="annotations", got=repr(item)[:80])
         frame = frame_name(item, path, f"item {number}")
         for index, entry in enumerate(entries):
             where = f"item {number}, annotation {index}"
             if not isinstance(entry, dict):
-                raise FileFormatError(path, where=where, expected="an object", found=repr(entry)[:80])
+                raise FileFormatError(path, where=where, expected="an object", got=repr(entry)[:80])
             if entry.get("type") == KIND:
                 cuboid = _cuboid(entry, frame, names, path, where)
                 cuboids.append(CuboidEntry(("items", number, "annotations", index), cuboid))
@@ -60,7 +60,7 @@ def class_names(content: Mapping[str, Any], path: Path | str) -> list[str]:
     label = categories.get("label") if isinstance(categories, dict) else None
     labels = label.get("labels") if isinstance(label, dict) else None
     if not isinstance(labels, list) or not all(isinstance(entry, dict) for entry in labels):
-        raise FileFormatError(path, where="categories", expected="label with labels", found=repr(categories)[:80])
+        raise FileFormatError(path, where="categories", expected="label with labels", got=repr(categories)[:80])
     return [word(entry.get("name"), path, f"label {number}", "name") for number, entry in enumerate(labels)]
 
 
@@ -72,7 +72,7 @@ def frame_name(item: Mapping[str, Any], path: Path | str, where: str) -> str:
 def _cuboid(entry: Mapping[str, Any], frame: str, names: Sequence[str], path: Path | str, where: str) -> Cuboid:
     number = entry.get("label_id")
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(names):
-        raise FileFormatError(path, where=where, expected=f"label_id below {len(names)}", found=repr(number)[:80])
+        raise FileFormatError(path, where=where, expected=f"label_id below {len(names)}", got=repr(number)[:80])
     centre, turn, size = (numbers(entry.get(key), 3, path, where, key) for key in ("position", "rotation", "scale"))
     attributes = attributes_of(entry.get("attributes"))
     track = attributes.pop("track_id", "")

@@ -106,7 +106,7 @@ def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> DepthImage:
             texts = {str(name): str(text) for name, text in image.info.items() if isinstance(text, str)}
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         actual = f"{str(error)[:200]} ({len(data.getbuffer())} bytes)"
-        raise FileFormatError(path, where="the image", expected="a whole 16-bit grey PNG", found=actual) from error
+        raise FileFormatError(path, where="the image", expected="a whole 16-bit grey PNG", got=actual) from error
     scale = _scale_of(path, texts.pop(_SCALE, str(KITTI_SCALE)))
     depth = values.astype(np.float32) / np.float32(scale)
     depth[values == 0] = np.nan
@@ -117,15 +117,15 @@ def _check(path: Path | str, image: Image.Image, max_pixels: int) -> None:
     """Refuse what should not be decoded; Pillow has read the header only."""
     if image.width * image.height > max_pixels:
         expected, actual = f"at most {max_pixels} pixels", f"{image.width} x {image.height}"
-        raise FileFormatError(path, where="the image header", expected=expected, found=actual)
+        raise FileFormatError(path, where="the image header", expected=expected, got=actual)
     if image.mode != "I;16":
         expected, actual = "16-bit grey values (mode I;16)", f"mode {image.mode}"
-        mend = "A depth map that was saved with 8 bits has lost its depths: write it anew."
-        raise FileFormatError(path, where="the image header", expected=expected, found=actual, mend=mend)
+        fix = "A depth map that was saved with 8 bits has lost its depths: write it anew."
+        raise FileFormatError(path, where="the image header", expected=expected, got=actual, fix=fix)
 
 
 def _scale_of(path: Path | str, text: str) -> int:
     if not (text.isascii() and text.isdecimal() and len(text) <= 5 and 1 <= int(text) <= _LARGEST):
         expected = f"a whole number from 1 to {_LARGEST}"
-        raise FileFormatError(path, where=f"text chunk {_SCALE}", expected=expected, found=repr(text[:50]))
+        raise FileFormatError(path, where=f"text chunk {_SCALE}", expected=expected, got=repr(text[:50]))
     return int(text)

@@ -19,11 +19,11 @@ def read_description(path: Path) -> dict[str, str]:
         text = read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         actual = f"byte 0x{error.object[error.start]:02x}"
-        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=actual) from None
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", got=actual) from None
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     conditions = parse_description(lines[0]) if lines else None
     if conditions is None:
         raise FileFormatError(
-            path, where="line 1", expected=",".join(DESCRIPTION_ORDER), found=repr("".join(lines[:1]))[:100]
+            path, where="line 1", expected=",".join(DESCRIPTION_ORDER), got=repr("".join(lines[:1]))[:100]
         )
     return conditions

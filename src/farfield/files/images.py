@@ -53,11 +53,11 @@ def decode_image(
         with warnings.catch_warnings(action="ignore"), Image.open(data, formats=("JPEG", "PNG")) as image:
             if image.width * image.height > max_pixels:  # Pillow has read the header only
                 expected, actual = f"at most {max_pixels} pixels", f"{image.width} x {image.height}"
-                raise FileFormatError(path, where="the image header", expected=expected, found=actual)
+                raise FileFormatError(path, where="the image header", expected=expected, got=actual)
             return np.array(_as_rgb(ImageOps.exif_transpose(image) if upright else image))
     except (OSError, SyntaxError, ValueError, KeyError, TypeError, struct.error, Image.DecompressionBombError) as error:
         actual = f"{str(error)[:200]} ({len(data.getbuffer())} bytes)"
-        raise FileFormatError(path, where="the image", expected="a whole JPEG or PNG", found=actual) from error
+        raise FileFormatError(path, where="the image", expected="a whole JPEG or PNG", got=actual) from error
 
 
 def image_size(path: Path | str) -> tuple[int, int]:
@@ -71,7 +71,7 @@ def image_size(path: Path | str) -> tuple[int, int]:
             return image.size
     except (OSError, SyntaxError, ValueError, KeyError, TypeError, struct.error, Image.DecompressionBombError) as error:
         actual = str(error)[:200]
-        raise FileFormatError(path, where="the image", expected="a JPEG or PNG", found=actual) from error
+        raise FileFormatError(path, where="the image", expected="a JPEG or PNG", got=actual) from error
 
 
 def _as_rgb(image: Image.Image) -> Image.Image:
@@ -156,4 +156,4 @@ def _images(pictures: Sequence[Path]) -> Iterator[Image.Image]:
                 yield image.convert("RGB")
         except (OSError, SyntaxError, ValueError) as error:
             expected, actual = "a whole PNG", str(error)[:100]
-            raise FileFormatError(path.name, where="the image", expected=expected, found=actual) from error
+            raise FileFormatError(path.name, where="the image", expected=expected, got=actual) from error

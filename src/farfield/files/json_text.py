@@ -24,13 +24,13 @@ def parse_json(data: bytes, path: Path | str, *, max_bytes: int = MAX_BYTES) -> 
         FileFormatError: If it is anything else.
     """
     if len(data) > max_bytes:
-        raise FileFormatError(path, where="the file", expected=f"at most {max_bytes} bytes", found=f"{len(data)} bytes")
+        raise FileFormatError(path, where="the file", expected=f"at most {max_bytes} bytes", got=f"{len(data)} bytes")
     try:
         text = data.decode("utf-8-sig")
         _check_depth(text)
         return json.loads(text, parse_constant=_refuse, object_pairs_hook=_object)
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
+        raise FileFormatError(path, where="the file", expected="JSON", got=plain(error)) from error
 
 
 def _check_depth(text: str) -> None:

@@ -198,7 +198,7 @@ def _text(objects: KittiObjects) -> list[str]:
 
 
 def _wrong(path: Path | str, line: int, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"line {line}", expected=expected, found=actual)
+    return FileFormatError(path, where=f"line {line}", expected=expected, got=actual)
 
 
 def _lines(path: Path | str) -> list[tuple[int, str]]:
@@ -211,7 +211,7 @@ def _numbered(data: bytes, path: Path | str) -> list[tuple[int, str]]:
         text = data.decode("ascii")
     except UnicodeDecodeError as error:
         actual = f"byte 0x{data[error.start]:02x}"
-        raise FileFormatError(path, where=f"byte {error.start}", expected="ASCII text", found=actual) from None
+        raise FileFormatError(path, where=f"byte {error.start}", expected="ASCII text", got=actual) from None
     return [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
 
 
@@ -309,10 +309,10 @@ def read_raw_calib(path: Path | str) -> dict[str, Float[np.ndarray, " n"]]:
         if not line.strip() or name in _WORDS:
             continue
         if not colon or name in matrices:
-            raise FileFormatError(path, where=f"line {number}", expected="NAME: numbers, once", found=repr(line[:60]))
+            raise FileFormatError(path, where=f"line {number}", expected="NAME: numbers, once", got=repr(line[:60]))
         matrices[name] = _floats(rest, path, number)
     if not matrices:
-        raise FileFormatError(path, where="line 1", expected="NAME: numbers", found="no such line")
+        raise FileFormatError(path, where="line 1", expected="NAME: numbers", got="no such line")
     return matrices
 
 
@@ -322,7 +322,7 @@ def _floats(text: str, path: Path | str, line: int) -> Float[np.ndarray, " n"]:
     except ValueError:
         values = np.array([np.nan])
     if not len(values) or not np.isfinite(values).all():
-        raise FileFormatError(path, where=f"line {line}", expected="finite numbers", found=repr(text[:60]))
+        raise FileFormatError(path, where=f"line {line}", expected="finite numbers", got=repr(text[:60]))
     return values
 
 
@@ -337,7 +337,7 @@ def rigid(calib: Matrices, path: Path | str) -> Float[np.ndarray, "4 4"]:
 
 def _motion(rotation: np.ndarray, translation: np.ndarray, path: Path | str) -> Float[np.ndarray, "4 4"]:
     if not 0.9 < float(np.linalg.det(rotation)) < 1.1:
-        raise FileFormatError(path, where="R", expected="a rotation", found=repr(rotation.tolist())[:120])
+        raise FileFormatError(path, where="R", expected="a rotation", got=repr(rotation.tolist())[:120])
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation
     return matrix
@@ -365,7 +365,7 @@ def _shaped(calib: Matrices, name: str, shape: tuple[int, ...], path: Path | str
     values = calib.get(name)
     if values is None or values.size != np.prod(shape):
         actual = "nothing" if values is None else f"{values.size} numbers"
-        raise FileFormatError(path, where=name, expected=f"{int(np.prod(shape))} numbers", found=actual)
+        raise FileFormatError(path, where=name, expected=f"{int(np.prod(shape))} numbers", got=actual)
     return values.reshape(shape)
 
 
@@ -378,5 +378,5 @@ def read_record(path: Path | str) -> Float[np.ndarray, " 30"]:
     values = _floats(read_bytes(path, max_bytes=_TEXT_BYTES).decode("ascii", errors="replace"), path, 1)
     if len(values) != _RECORD or abs(values[0]) >= 90 or abs(values[1]) > 180:
         actual = f"{len(values)} numbers"
-        raise FileFormatError(path, where="line 1", expected=f"{_RECORD} numbers, degrees first", found=actual)
+        raise FileFormatError(path, where="line 1", expected=f"{_RECORD} numbers, degrees first", got=actual)
     return values

@@ -64,13 +64,13 @@ def read_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Shap
         if text == name:
             return _array(flags, shape, next(parts, None), path)
         names.append(text)
-    mend = "" if names else TRUNCATED
+    fix = "" if names else TRUNCATED
     held = ", ".join(names[:8]) or "no array"
-    raise FileFormatError(path, where="the file", expected=f"an array {name!r}", found=held, mend=mend)
+    raise FileFormatError(path, where="the file", expected=f"an array {name!r}", got=held, fix=fix)
 
 
 def _fault(path: Path | str, element: _Element, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"byte {element.offset}", expected=expected, found=actual)
+    return FileFormatError(path, where=f"byte {element.offset}", expected=expected, got=actual)
 
 
 def _elements(data: memoryview, offset: int, path: Path | str) -> Iterator[_Element]:
@@ -83,11 +83,11 @@ def _elements(data: memoryview, offset: int, path: Path | str) -> Iterator[_Elem
             kind, size, start = kind & 0xFFFF, small, at + 4
             if size > 4:
                 expected, where = "at most 4 bytes in a small element", f"byte {offset + at}"
-                raise FileFormatError(path, where=where, expected=expected, found=f"{size}")
+                raise FileFormatError(path, where=where, expected=expected, got=f"{size}")
         if size > len(data) - start:
             expected, actual = f"{size} bytes of an element", f"{len(data) - start} bytes"
-            mend = "The file is truncated."
-            raise FileFormatError(path, where=f"byte {offset + at}", expected=expected, found=actual, mend=mend)
+            fix = "The file is truncated."
+            raise FileFormatError(path, where=f"byte {offset + at}", expected=expected, got=actual, fix=fix)
         yield _Element(kind, data[start : start + size], offset + start)
         end = start + size
         at = at + 8 if small else end if kind == COMPRESSED else end + -end % 8
@@ -200,11 +200,11 @@ def check_header(data: bytes, path: Path | str) -> None:
         FileFormatError: If they are not a little-endian MATLAB v5 file's.
     """
     if data[:4] == _HDF5 or data[:10] == b"MATLAB 7.3":
-        mend = "Save it in MATLAB with -v7."
-        raise FileFormatError(path, where="byte 0", expected="a MATLAB v5 file", found="a v7.3 (HDF5) file", mend=mend)
+        fix = "Save it in MATLAB with -v7."
+        raise FileFormatError(path, where="byte 0", expected="a MATLAB v5 file", got="a v7.3 (HDF5) file", fix=fix)
     if len(data) < HEADER_BYTES or data[124:128] != b"\x00\x01IM":
         expected = "a little-endian MATLAB v5 header of 128 bytes"
-        raise FileFormatError(path, where="byte 124", expected=expected, found=repr(data[124:128]))
+        raise FileFormatError(path, where="byte 124", expected=expected, got=repr(data[124:128]))
 
 
 # One array of a MATLAB v5 file in blocks, so that it need never be in memory whole.
@@ -227,7 +227,7 @@ class _Plain:
 
     def fault(self, expected: str, actual: str) -> FileFormatError:
         """What is wrong with the array."""
-        return FileFormatError(self.path, where="the array", expected=expected, found=actual, mend=TRUNCATED)
+        return FileFormatError(self.path, where="the array", expected=expected, got=actual, fix=TRUNCATED)
 
     def fill(self, into: memoryview) -> None:
         """Fill a buffer with the next bytes."""
@@ -369,7 +369,7 @@ def open_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Iter
         status = os.fstat(handle.fileno())
         if not stat.S_ISREG(status.st_mode) or status.st_size > max_bytes:
             expected, actual = f"a regular file of at most {max_bytes} bytes", f"{status.st_size} bytes"
-            raise FileFormatError(path, where="the file", expected=expected, found=actual)
+            raise FileFormatError(path, where="the file", expected=expected, got=actual)
         check_header(handle.read(HEADER_BYTES), path)
         yield _find(handle, status.st_size, name, max_bytes, path)
 
@@ -384,7 +384,7 @@ def _find(handle: BinaryIO, size: int, name: str, max_bytes: int, path: Path | s
             continue
         if count > size - at - 8:
             expected, left = f"{count} bytes of an element", f"{size - at - 8} bytes"
-            raise FileFormatError(path, where=f"byte {at}", expected=expected, found=left, mend=TRUNCATED)
+            raise FileFormatError(path, where=f"byte {at}", expected=expected, got=left, fix=TRUNCATED)
         if kind in (MATRIX, COMPRESSED):
             source, inside = _opened(handle, kind, count, max_bytes, path)
             flags, flag_bytes = _small_element(source)
@@ -395,8 +395,8 @@ def _find(handle: BinaryIO, size: int, name: str, max_bytes: int, path: Path | s
             names.append(called[:64].decode("ascii", errors="replace"))
         at += 8 + count + (0 if kind == COMPRESSED else -count % 8)
     held = ", ".join(names[:8]) or "no array"
-    mend = "" if names else TRUNCATED
-    raise FileFormatError(path, where="the file", expected=f"an array {name!r}", found=held, mend=mend)
+    fix = "" if names else TRUNCATED
+    raise FileFormatError(path, where="the file", expected=f"an array {name!r}", got=held, fix=fix)
 
 
 def _opened(handle: BinaryIO, kind: int, count: int, max_bytes: int, path: Path | str) -> tuple[_Plain, int]:

@@ -41,13 +41,13 @@ def read_npy(path: Path | str, *, max_bytes: int = MAX_BYTES) -> Shaped[np.ndarr
         good = dtype.kind in "fiub" and not dtype.hasobject and all(0 <= side < 1 << 62 for side in shape)
     except (ValueError, TypeError, SyntaxError, KeyError, RecursionError, MemoryError, tokenize.TokenError) as error:
         expected = "a header of NumPy's format 1.0 or 2.0"
-        raise FileFormatError(path, where="byte 0", expected=expected, found=str(error)[:120]) from error
+        raise FileFormatError(path, where="byte 0", expected=expected, got=str(error)[:120]) from error
     start = handle.tell()
     if not good or len(shape) > 32 or math.prod(shape) * dtype.itemsize != len(data) - start:
         expected = f"numbers of shape {shape} and dtype {dtype}"
-        raise FileFormatError(path, where=f"byte {start}", expected=expected[:200], found=f"{len(data) - start} bytes")
+        raise FileFormatError(path, where=f"byte {start}", expected=expected[:200], got=f"{len(data) - start} bytes")
     if dtype.kind == "b" and any(set(data[start:]) - {0, 1}):
-        raise FileFormatError(path, where=f"byte {start}", expected="booleans", found="bytes above 1")
+        raise FileFormatError(path, where=f"byte {start}", expected="booleans", got="bytes above 1")
     values: np.ndarray = np.frombuffer(data, dtype=dtype, offset=start)
     return values.reshape(shape, order="F" if fortran else "C").copy(order="K")
 

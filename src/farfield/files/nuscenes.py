@@ -61,11 +61,11 @@ def read_results_in(path: Path | str) -> tuple[dict[str, NuScenesBoxes], str]:
     try:
         tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
+        raise FileFormatError(path, where="the file", expected="JSON", got=plain(error)) from error
     results = tree.get("results") if isinstance(tree, dict) else None
     if not isinstance(results, dict) or not all(isinstance(boxes, list) for boxes in results.values()):
         actual = "no object 'results'" if not isinstance(results, dict) else "a sample that is no list"
-        raise FileFormatError(path, where="the file", expected="results: a list of boxes a sample", found=actual)
+        raise FileFormatError(path, where="the file", expected="results: a list of boxes a sample", got=actual)
     meta = tree.get("meta")
     named = meta.get("reference") if isinstance(meta, dict) else None
     return {token: _sample(path, token, boxes) for token, boxes in results.items()}, str(named or "")
@@ -79,13 +79,11 @@ def _sample(path: Path | str, token: str, boxes: list[Any]) -> NuScenesBoxes:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             actual = plain(error)
             expected = "translation (3), size (3), rotation (4), a name and a score, as finite numbers"
-            raise FileFormatError(
-                path, where=f"sample {token}, box {number}", expected=expected, found=actual
-            ) from error
+            raise FileFormatError(path, where=f"sample {token}, box {number}", expected=expected, got=actual) from error
     kinds = {track is None for _, _, track in rows}
     if len(kinds) > 1:
         expected = "detections or tracks, not both"
-        raise FileFormatError(path, where=f"sample {token}", expected=expected, found="both")
+        raise FileFormatError(path, where=f"sample {token}", expected=expected, got="both")
     table = np.array([values for values, _, _ in rows], dtype=np.float64).reshape(-1, 13)
     w, x, y, z = table[:, 6:10].T
     return NuScenesBoxes(

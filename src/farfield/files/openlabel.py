@@ -36,7 +36,7 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     content = parse_json(data, path)
     root = content.get(_ROOT) if isinstance(content, dict) else None
     if not isinstance(root, dict):
-        raise FileFormatError(path, where="the root", expected="an object 'openlabel'", found=repr(content)[:80])
+        raise FileFormatError(path, where="the root", expected="an object 'openlabel'", got=repr(content)[:80])
     types = _mapping(root.get("objects", {}), path, "objects")
     cuboids: list[CuboidEntry] = []
     for number, frame in _mapping(root.get("frames", {}), path, "frames").items():
@@ -47,7 +47,7 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
             kind = word(_mapping(types.get(uid, {}), path, where).get("type"), path, where, "type")
             inner = _mapping(_mapping(entry, path, where).get("object_data", {}), path, where).get("cuboid", [])
             if not isinstance(inner, list):
-                raise FileFormatError(path, where=where, expected="a list of cuboids", found=repr(inner)[:80])
+                raise FileFormatError(path, where=where, expected="a list of cuboids", got=repr(inner)[:80])
             for index, cuboid in enumerate(inner):
                 steps = (_ROOT, "frames", number, "objects", uid, "object_data", "cuboid", index)
                 cuboids.append(CuboidEntry(steps, _cuboid(_mapping(cuboid, path, where), name, kind, uid, path, where)))
@@ -65,7 +65,7 @@ def _cuboid(entry: Mapping[str, Any], frame: str, label: str, uid: str, path: Pa
     value = entry.get("val")
     if not isinstance(value, list) or len(value) not in (9, 10):
         expected = "val with 10 numbers (a quaternion) or 9 (Euler angles)"
-        raise FileFormatError(path, where=where, expected=expected, found=repr(value)[:80])
+        raise FileFormatError(path, where=where, expected=expected, got=repr(value)[:80])
     row = numbers(value, len(value), path, where, "val")
     yaw = row[5] if len(row) == 9 else _yaw(row[3:7], path, where)
     return Cuboid(
@@ -82,7 +82,7 @@ def _yaw(quaternion: Sequence[float], path: Path | str, where: str) -> float:
     x, y, z, w = quaternion
     norm = x * x + y * y + z * z + w * w
     if not 1e-6 < norm < 1e6:
-        raise FileFormatError(path, where=where, expected="a quaternion", found=repr(list(quaternion)))
+        raise FileFormatError(path, where=where, expected="a quaternion", got=repr(list(quaternion)))
     return math.atan2(2 * (x * y + z * w), norm - 2 * (y * y + z * z))
 
 
@@ -214,5 +214,5 @@ def format_openlabel(
 
 def _mapping(value: Any, path: Path | str, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise FileFormatError(path, where=where, expected="an object", found=repr(value)[:80])
+        raise FileFormatError(path, where=where, expected="an object", got=repr(value)[:80])
     return value

@@ -109,7 +109,7 @@ def _fault(
     path: Path | str, lines: Mapping[str, int], values: Mapping[str, list[str]], key: str, expected: str
 ) -> FileFormatError:
     where, actual = f"line {lines.get(key, lines['DATA'])}", " ".join(values.get(key, ["no such line"]))[:80]
-    return FileFormatError(path, where=where, expected=f"{key} to be {expected}", found=actual)
+    return FileFormatError(path, where=where, expected=f"{key} to be {expected}", got=actual)
 
 
 def _entries(data: bytes, *, path: Path | str) -> tuple[dict[str, tuple[int, list[str]]], int]:
@@ -120,7 +120,7 @@ def _entries(data: bytes, *, path: Path | str) -> tuple[dict[str, tuple[int, lis
         end, line = data.find(b"\n", start, _MAX_HEADER_BYTES), line + 1
         if end < 0:
             actual = "the end of the file" if len(data) < _MAX_HEADER_BYTES else f"{_MAX_HEADER_BYTES} bytes without it"
-            raise FileFormatError(path, where=f"line {line}", expected="a header that ends with DATA", found=actual)
+            raise FileFormatError(path, where=f"line {line}", expected="a header that ends with DATA", got=actual)
         text = data[start:end].strip()
         words = text.decode("ascii", errors="replace").split()
         start = end + 1
@@ -129,7 +129,7 @@ def _entries(data: bytes, *, path: Path | str) -> tuple[dict[str, tuple[int, lis
         key = "FIELDS" if words[0] == "COLUMNS" else words[0]  # the older name
         if key not in KEYS or key in entries or not text.isascii():
             expected = f"one of {', '.join(key for key in KEYS if key not in entries)}"
-            raise FileFormatError(path, where=f"line {line}", expected=expected, found=repr(text[:80]))
+            raise FileFormatError(path, where=f"line {line}", expected=expected, got=repr(text[:80]))
         entries[key] = (line, words[1:])
     return entries, start
 
@@ -141,14 +141,14 @@ def _points(values: Mapping[str, list[str]], lines: Mapping[str, int], *, path: 
         sides[key] = _natural(value[0]) if value is not None and len(value) == 1 else None
         if value is not None and sides[key] is None:
             where, actual = f"line {lines[key]}", " ".join(value)[:80]
-            raise FileFormatError(path, where=where, expected=f"{key} to be one whole number", found=actual)
+            raise FileFormatError(path, where=where, expected=f"{key} to be one whole number", got=actual)
     width, height, points = sides["WIDTH"], sides["HEIGHT"], sides["POINTS"]
     grid = None if width is None else width * (1 if height is None else height)
     total = grid if points is None else points
     if total is None or (grid is not None and grid != total):
         expected = "POINTS to be WIDTH x HEIGHT" if total is not None else "WIDTH or POINTS"
         actual = f"{points} points for {width} x {height}" if total is not None else "neither"
-        raise FileFormatError(path, where=f"line {lines.get('POINTS', lines['DATA'])}", expected=expected, found=actual)
+        raise FileFormatError(path, where=f"line {lines.get('POINTS', lines['DATA'])}", expected=expected, got=actual)
     return total
 
 
@@ -206,13 +206,13 @@ def _read_ascii(data: bytes, header: PcdHeader, path: Path | str) -> list[np.nda
     lines = body.count(b"\n") + 1 if body else 0
     if lines != header.points:
         where, actual = f"line {header.line}", f"{lines} lines of points"
-        mend = "The file is truncated or spliced."
-        raise FileFormatError(path, where=where, expected=f"{header.points} points", found=actual, mend=mend)
+        fix = "The file is truncated or spliced."
+        raise FileFormatError(path, where=where, expected=f"{header.points} points", got=actual, fix=fix)
     if lines == 0:
         return _nothing(header)
     columns, first = sum(header.counts), len(body.partition(b"\n")[0].split())
     if first != columns:
-        raise FileFormatError(path, where=f"line {header.line}", expected=f"{columns} columns", found=str(first))
+        raise FileFormatError(path, where=f"line {header.line}", expected=f"{columns} columns", got=str(first))
     dtypes = [dtype for dtype, count in zip(header.dtypes, header.counts, strict=True) for _ in range(count)]
     table = iter(parse_table(body, dtypes=dtypes, separator=None, path=path, line=header.line))
     fields = []
@@ -243,19 +243,19 @@ def _read_compressed(data: bytes, header: PcdHeader, path: Path | str, max_bytes
     start = header.body + 8
     if len(data) < start:
         where, actual = f"byte {header.body}", f"{len(data) - header.body} bytes"
-        raise FileFormatError(path, where=where, expected="8 bytes with both sizes", found=actual)
+        raise FileFormatError(path, where=where, expected="8 bytes with both sizes", got=actual)
     packed, size = (int(number) for number in np.frombuffer(data, dtype="<u4", count=2, offset=header.body))
     _check_size(data, start, packed, path, "the compressed size")
     dense = [0 if name == "_" else width for name, width in zip(header.names, header.field_bytes, strict=True)]
     possible = {header.point_bytes * header.points: header.field_bytes, sum(dense) * header.points: tuple(dense)}
     if size not in possible or size > min(packed * LZF_MAX_EXPANSION, max_bytes):
         expected = f"{header.points} points of {header.point_bytes} bytes, at most {LZF_MAX_EXPANSION} times {packed}"
-        raise FileFormatError(path, where=f"byte {header.body + 4}", expected=expected, found=f"{size} bytes")
+        raise FileFormatError(path, where=f"byte {header.body + 4}", expected=expected, got=f"{size} bytes")
     try:
         body = decompress_lzf(data[start : start + packed], size)
     except LzfError as error:
         where = f"compressed body at byte {start}"
-        raise FileFormatError(path, where=where, expected=f"{size} bytes in LZF", found=str(error)) from error
+        raise FileFormatError(path, where=where, expected=f"{size} bytes in LZF", got=str(error)) from error
     fields, offset = [], 0
     for dtype, count, width in zip(header.dtypes, header.counts, possible[size], strict=True):
         items = header.points * width // dtype.itemsize
@@ -269,9 +269,9 @@ def _check_size(data: bytes, start: int, size: int, path: Path | str, meaning: s
     present = len(data) - start
     rest = data[start + size :]
     if present < size or len(rest) >= _PADDING_BYTES or rest.strip(b"\0"):
-        mend = "The file is truncated." if present < size else "The file is over-long or its header is wrong."
+        fix = "The file is truncated." if present < size else "The file is over-long or its header is wrong."
         expected = f"{size} bytes ({meaning})"
-        raise FileFormatError(path, where=f"byte {start}", expected=expected, found=f"{present} bytes", mend=mend)
+        raise FileFormatError(path, where=f"byte {start}", expected=expected, got=f"{present} bytes", fix=fix)
 
 
 def _shaped(column: np.ndarray, count: int) -> np.ndarray:

@@ -86,19 +86,19 @@ def read_poses(path: Path | str) -> PoseTable:
         lines = read_bytes(path, max_bytes=_MOST_BYTES).decode("utf-8").splitlines()
         rows = list(csv.reader(lines))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise FileFormatError(path, where="the file", expected="CSV in UTF-8", found=plain(error)) from error
+        raise FileFormatError(path, where="the file", expected="CSV in UTF-8", got=plain(error)) from error
     if not rows or tuple(rows[0]) != COLUMNS:
         actual = ",".join(rows[0])[:80] if rows else "nothing"
-        raise FileFormatError(path, where="line 1", expected=",".join(COLUMNS), found=actual)
+        raise FileFormatError(path, where="line 1", expected=",".join(COLUMNS), got=actual)
     for number, row in enumerate(rows[1:], start=2):
         _check(path, number, row)
     body = rows[1:]
     frames = tuple(row[1] for row in body)
     for what, values in (("drive", {row[0] for row in body}), ("reference", {row[2] for row in body})):
         if len(values) != 1:
-            raise FileFormatError(path, where="the file", expected=f"sweeps of one {what}", found=f"{len(values)}")
+            raise FileFormatError(path, where="the file", expected=f"sweeps of one {what}", got=f"{len(values)}")
     if len(set(frames)) < len(frames):
-        raise FileFormatError(path, where="the file", expected="each frame once", found="one that stands there twice")
+        raise FileFormatError(path, where="the file", expected="each frame once", got="one that stands there twice")
     numbers = np.array([row[4:11] for row in body], dtype=np.float64)
     poses = np.tile(np.eye(4), (len(body), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = Rotation.from_quat(numbers[:, 3:]).as_matrix(), numbers[:, :3]
@@ -110,7 +110,7 @@ def read_poses(path: Path | str) -> PoseTable:
 def _check(path: Path, line: int, row: Sequence[str]) -> None:
     where = f"line {line}"
     if len(row) != len(COLUMNS):
-        raise FileFormatError(path, where=where, expected=f"{len(COLUMNS)} columns", found=f"{len(row)}")
+        raise FileFormatError(path, where=where, expected=f"{len(COLUMNS)} columns", got=f"{len(row)}")
     try:
         numbers = np.array(row[4:11], dtype=np.float64)
         time_fits = row[3] == "" or abs(int(row[3])) < 1 << 63
@@ -118,6 +118,6 @@ def _check(path: Path, line: int, row: Sequence[str]) -> None:
         numbers, time_fits = np.zeros(0), False
     if not (time_fits and len(numbers) and np.isfinite(numbers).all() and 0.9 < np.linalg.norm(numbers[3:]) < 1.1):
         expected = "a time in nanoseconds, a place and a unit quaternion"
-        raise FileFormatError(path, where=where, expected=expected, found=",".join(row[3:11])[:100])
+        raise FileFormatError(path, where=where, expected=expected, got=",".join(row[3:11])[:100])
     if row[11] not in STATES:
-        raise FileFormatError(path, where=f"{where}, state", expected=" or ".join(STATES), found=row[11][:40])
+        raise FileFormatError(path, where=f"{where}, state", expected=" or ".join(STATES), got=row[11][:40])

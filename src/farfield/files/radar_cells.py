@@ -72,17 +72,17 @@ def read_radar_cells(path: Path | str) -> dict[str, np.ndarray]:
     data = read_bytes(path, max_bytes=_MAX_BYTES)
     block, body = data[:_BLOCK_BYTES], data[_BLOCK_BYTES:]
     if not block.startswith(_MARK):
-        raise FileFormatError(path, where="byte 0", expected=repr(_MARK.decode()), found=repr(block[:24]))
+        raise FileFormatError(path, where="byte 0", expected=repr(_MARK.decode()), got=repr(block[:24]))
     stated, digest = block[len(_MARK) : len(_MARK) + 64].decode("ascii", "replace"), hashlib.sha256(body).hexdigest()
     if stated != digest:
-        mend = "The file is damaged: convert the frame again."
-        raise FileFormatError(path, where="the checksum", expected=stated, found=digest, mend=mend)
+        fix = "The file is damaged: convert the frame again."
+        raise FileFormatError(path, where="the checksum", expected=stated, got=digest, fix=fix)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             arrays = {name: _column(file[name]) for name in ("gap", "code", "quantiles", "doppler") if name in file}
     except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
         expected = "columns gap, code and quantiles"
-        raise FileFormatError(path, where="the HDF5 data", expected=expected, found=str(error)[:120]) from error
+        raise FileFormatError(path, where="the HDF5 data", expected=expected, got=str(error)[:120]) from error
     return _checked(path, arrays)
 
 
@@ -102,10 +102,10 @@ def _checked(path: Path | str, arrays: dict[str, np.ndarray]) -> dict[str, np.nd
         values = arrays.get(name)
         if values is None or values.dtype != dtype or values.ndim != axes:
             actual = "nothing" if values is None else f"{values.dtype} with {values.ndim} axes"
-            raise FileFormatError(path, where=f"column {name!r}", expected=f"{dtype}, {axes} axes", found=actual)
+            raise FileFormatError(path, where=f"column {name!r}", expected=f"{dtype}, {axes} axes", got=actual)
     index = np.cumsum(arrays.pop("gap"), dtype=np.int64)
     lengths = {len(index), *(len(arrays[name]) for name in ("code", "doppler") if name in arrays)}
     if len(lengths) != 1 or len(arrays["quantiles"]) != 2 or (len(index) and index[-1] >= _MAX_CELLS):
         actual = f"lengths {sorted(lengths)}, last cell {index[-1] if len(index) else None}"
-        raise FileFormatError(path, where="the columns", expected="one number a cell of the cube", found=actual)
+        raise FileFormatError(path, where="the columns", expected="one number a cell of the cube", got=actual)
     return {"index": index.astype(np.int32), **arrays}

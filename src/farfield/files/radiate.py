@@ -67,7 +67,7 @@ def read_times(path: Path | str) -> dict[int, int]:
         if not good or not all(
             d.isascii() and d.isdigit() and len(d) <= n for d, n in zip(digits, limits, strict=True)
         ):
-            raise FileFormatError(path, where=f"line {number}", expected=f"such as {_FORM!r}", found=repr(line[:80]))
+            raise FileFormatError(path, where=f"line {number}", expected=f"such as {_FORM!r}", got=repr(line[:80]))
         times[int(digits[0])] = int(digits[1]) * 1_000_000_000 + int(digits[2])
     return times
 
@@ -121,7 +121,7 @@ def _box(path: Path | str, where: str, box: Any) -> list[float]:
 
 
 def _wrong(path: Path | str, where: str, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=where, expected=expected, found=actual[:120])
+    return FileFormatError(path, where=where, expected=expected, got=actual[:120])
 
 
 def times_text(times_ns: dict[int, int]) -> str:

@@ -69,7 +69,7 @@ def _columns(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n
 
 
 def _wrong(path: Path | str, where: str, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"a point cloud, {where}", expected=expected, found=actual)
+    return FileFormatError(path, where=f"a point cloud, {where}", expected=expected, got=actual)
 
 
 # ``sensor_msgs/msg/Image`` and ``CompressedImage`` as RGB.
@@ -93,11 +93,11 @@ def _pixels(message: Any, path: Path | str) -> UInt8[np.ndarray, "height width 3
     encoding, data = str(message.encoding), np.asarray(message.data, dtype=np.uint8)
     if encoding not in CHANNELS:
         names = ", ".join(CHANNELS)
-        raise FileFormatError(path, where="an image's encoding", expected=f"one of {names}", found=repr(encoding[:40]))
+        raise FileFormatError(path, where="an image's encoding", expected=f"one of {names}", got=repr(encoding[:40]))
     row = width * _SIZES[encoding]
     if height * width > MAX_PIXELS or step < row or len(data) < (height - 1) * step + row or not height * width:
         actual = f"{len(data)} bytes for {width} x {height} in rows of {step}"
-        raise FileFormatError(path, where="an image", expected=f"rows of {row} bytes or more, all there", found=actual)
+        raise FileFormatError(path, where="an image", expected=f"rows of {row} bytes or more, all there", got=actual)
     padded = np.zeros(height * step, dtype=np.uint8)
     padded[: min(len(data), len(padded))] = data[: len(padded)]
     pixels = padded.reshape(height, step)[:, :row].reshape(height, width, -1)
@@ -113,7 +113,5 @@ def read_ros_compressed(message: Any, path: Path | str) -> UInt8[np.ndarray, "he
     with guarded(path, "a compressed image"):
         kind, data = str(message.format), np.asarray(message.data, dtype=np.uint8).tobytes()
     if "compressedDepth" in kind:
-        raise FileFormatError(
-            path, where="a compressed image", expected="a JPEG or PNG", found=f"depth ({kind[:60]!r})"
-        )
+        raise FileFormatError(path, where="a compressed image", expected="a JPEG or PNG", got=f"depth ({kind[:60]!r})")
     return decode_image(io.BytesIO(data), path, max_pixels=MAX_PIXELS)

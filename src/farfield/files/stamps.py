@@ -90,7 +90,7 @@ def _unit(path: Path, name: str, number: bytes, unit: Unit) -> tuple[Literal["s"
             return which, True  # type: ignore[return-value]
     raise FileFormatError(
         path, where="the first stamp", expected="a number whose unit shows: Unix time, or seconds with a point",
-        found=number.decode("ascii", "replace").strip(), mend="Say the unit: --unit ns, us, ms or s.",
+        got=number.decode("ascii", "replace").strip(), fix="Say the unit: --unit ns, us, ms or s.",
     )  # fmt: skip
 
 
@@ -218,4 +218,4 @@ def _dates(path: Path, number: int, block: bytes) -> Stamps:
 
 
 def _wrong(path: Path, line: int, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"line {line}", expected=expected, found=actual)
+    return FileFormatError(path, where=f"line {line}", expected=expected, got=actual)

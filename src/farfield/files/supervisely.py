@@ -38,7 +38,7 @@ def placed_supervisely(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]
     held = {name: content.get(name) if isinstance(content, dict) else None for name in ("objects", "figures")}
     for name, value in held.items():
         if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
-            raise FileFormatError(path, where="the root", expected=f"a list {name}", found=repr(value)[:80])
+            raise FileFormatError(path, where="the root", expected=f"a list {name}", got=repr(value)[:80])
     objects = {str(entry.get("key")): entry for entry in held["objects"] or []}
     return tuple(
         CuboidEntry(("figures", number), _cuboid(figure, objects, path, f"figure {number}"))
@@ -88,7 +88,7 @@ def _cuboid(figure: Mapping[str, Any], objects: Mapping[str, Any], path: Path | 
     key = word(figure.get("objectKey"), path, where, "objectKey")
     geometry = figure.get("geometry")
     if key not in objects or not isinstance(geometry, dict):
-        raise FileFormatError(path, where=where, expected="a known objectKey and a geometry", found=repr(figure)[:80])
+        raise FileFormatError(path, where=where, expected="a known objectKey and a geometry", got=repr(figure)[:80])
     centre, turn, size = (xyz(geometry.get(name), path, where, name) for name in ("position", "rotation", "dimensions"))
     value = objects[key].get("tags")
     tags = [tag for tag in value if isinstance(tag, dict)] if isinstance(value, list) else []

@@ -32,7 +32,7 @@ def parse_sustechpoints(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...
     """
     content = parse_json(data, path, max_bytes=MAX_BYTES)
     if not isinstance(content, list):
-        raise FileFormatError(path, where="the root", expected="a list of objects", found=type(content).__name__)
+        raise FileFormatError(path, where="the root", expected="a list of objects", got=type(content).__name__)
     return tuple(
         CuboidEntry((number,), _cuboid(entry, path, f"object {number}")) for number, entry in enumerate(content)
     )
@@ -41,7 +41,7 @@ def parse_sustechpoints(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...
 def _cuboid(entry: Any, path: Path | str, where: str) -> Cuboid:
     psr = entry.get("psr") if isinstance(entry, dict) else None
     if not isinstance(psr, dict):
-        raise FileFormatError(path, where=where, expected="an object with psr", found=repr(entry)[:80])
+        raise FileFormatError(path, where=where, expected="an object with psr", got=repr(entry)[:80])
     centre, size, turn = (xyz(psr.get(name), path, where, name) for name in ("position", "scale", "rotation"))
     track, remark = entry.get("obj_id"), entry.get("obj_attr")
     return Cuboid(

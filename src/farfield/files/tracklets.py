@@ -25,7 +25,7 @@ def parse_tracklets(data: bytes, path: Path | str) -> tuple[Cuboid, ...]:
     root = parse_xml(data, path)
     held = root.all("tracklets")
     if len(held) != 1:
-        raise FileFormatError(path, where="the root", expected="one element tracklets", found=f"{len(held)}")
+        raise FileFormatError(path, where="the root", expected="one element tracklets", got=f"{len(held)}")
     return tuple(cuboid for number, item in enumerate(held[0].all("item")) for cuboid in _boxes(item, number, path))
 
 
@@ -35,7 +35,7 @@ def _boxes(item: Element, number: int, path: Path | str) -> list[Cuboid]:
     height, width, length = (_number(item, name, path, where) for name in ("h", "w", "l"))
     first = _number(item, "first_frame", path, where)
     if first != int(first) or not 0 <= first < _MOST_FRAMES:
-        raise FileFormatError(path, where=where, expected="a frame number as first_frame", found=repr(first))
+        raise FileFormatError(path, where=where, expected="a frame number as first_frame", got=repr(first))
     poses = [pose for group in item.all("poses") for pose in group.all("item")]
     boxes = []
     for step, pose in enumerate(poses):
@@ -59,5 +59,5 @@ def _number(element: Element, name: str, path: Path | str, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise FileFormatError(path, where=where, expected=f"a number as {name}", found=repr(text)[:60])
+        raise FileFormatError(path, where=where, expected=f"a number as {name}", got=repr(text)[:60])
     return value

@@ -91,18 +91,18 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     try:
         with av.open(str(path), metadata_errors="replace") as container:
             if not container.streams.video:
-                raise FileFormatError(path, where="the file", expected="a film", found="no video stream")
+                raise FileFormatError(path, where="the file", expected="a film", got="no video stream")
             stream = container.streams.video[0]
             if stream.codec_context is None:
-                raise FileFormatError(path, where="the header", expected="a codec that FFmpeg knows", found="another")
+                raise FileFormatError(path, where="the header", expected="a codec that FFmpeg knows", got="another")
             if not 0 < stream.width * stream.height <= MAX_PIXELS:
                 actual = f"{stream.width} x {stream.height}"
-                raise FileFormatError(path, where="the header", expected=f"1 to {MAX_PIXELS} pixels", found=actual)
+                raise FileFormatError(path, where="the header", expected=f"1 to {MAX_PIXELS} pixels", got=actual)
             stream.thread_count = 1
             yield container, stream
     except (av.FFmpegError, ValueError, OverflowError, EOFError) as error:
         actual = str(error).split("\n")[0][:200] or type(error).__name__
-        raise FileFormatError(path, where="the film", expected="a whole film", found=actual) from error
+        raise FileFormatError(path, where="the film", expected="a whole film", got=actual) from error
 
 
 def read_film(path: Path | str) -> Film:
@@ -114,19 +114,19 @@ def read_film(path: Path | str) -> Film:
     """
     path = Path(path)
     if not path.is_file():
-        raise FileFormatError(path, where="the file", expected="a film", found="no file")
+        raise FileFormatError(path, where="the file", expected="a film", got="no file")
     with _opened(path) as (container, stream):
         stamps: list[int] = []
         for packet in container.demux(stream):
             if packet.size:
                 if packet.pts is None or len(stamps) >= _MAX_FRAMES:
                     expected = f"a stamp for each of at most {_MAX_FRAMES} frames"
-                    raise FileFormatError(path, where=f"frame {len(stamps)}", expected=expected, found="none")
+                    raise FileFormatError(path, where=f"frame {len(stamps)}", expected=expected, got="none")
                 stamps.append(packet.pts)
         ordered = np.unique(np.array(stamps, dtype=np.int64))
         if not stamps or len(ordered) < len(stamps):
             actual = f"{len(stamps)} frames with {len(ordered)} stamps"
-            raise FileFormatError(path, where="the stamps", expected="a different one for each frame", found=actual)
+            raise FileFormatError(path, where="the stamps", expected="a different one for each frame", got=actual)
         return Film(path, stream.width, stream.height, ordered, Fraction(stream.time_base))
 
 
@@ -153,7 +153,7 @@ def film_frames(film: Film, first: int = 0, last: int | None = None) -> Iterator
             position += 1
     if position < last:
         raise FileFormatError(
-            film.path, where=f"frame {position}", expected=f"{len(film)} frames of one size", found="none that decodes"
+            film.path, where=f"frame {position}", expected=f"{len(film)} frames of one size", got="none that decodes"
         )
 
 

@@ -139,4 +139,4 @@ def _text(path: Path | str, max_bytes: int) -> str:
 
 
 def _wrong(path: Path | str, where: str, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=where, expected=expected, found=actual[:120])
+    return FileFormatError(path, where=where, expected=expected, got=actual[:120])

@@ -71,7 +71,7 @@ def parse_xml(data: bytes, path: Path | str, *, max_bytes: int = MAX_BYTES) -> E
             bound or name other files.
     """
     if len(data) > max_bytes:
-        raise FileFormatError(path, where="the file", expected=f"at most {max_bytes} bytes", found=f"{len(data)} bytes")
+        raise FileFormatError(path, where="the file", expected=f"at most {max_bytes} bytes", got=f"{len(data)} bytes")
     builder, parser = _TreeBuilder(), expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
@@ -82,7 +82,7 @@ def parse_xml(data: bytes, path: Path | str, *, max_bytes: int = MAX_BYTES) -> E
         parser.Parse(data, True)
     except (expat.ExpatError, _RefusedError, ValueError, LookupError) as error:
         where = f"line {parser.CurrentLineNumber}"
-        raise FileFormatError(path, where=where, expected="XML without entities", found=str(error)[:200]) from error
+        raise FileFormatError(path, where=where, expected="XML without entities", got=str(error)[:200]) from error
     return builder.root.children[0]
 
 

@@ -51,7 +51,7 @@ def read_xyz(
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = data.rstrip()
     if not data:
-        raise FileFormatError(path, where="line 1", expected="at least one point", found="an empty file")
+        raise FileFormatError(path, where="line 1", expected="at least one point", got="an empty file")
     first = data[: _LINE_BYTES + 1].partition(b"\n")[0].decode("ascii", errors="replace")
     separator = delimiter.strip() or None
     if delimiter == "auto":
@@ -62,8 +62,8 @@ def read_xyz(
             path,
             where="line 1",
             expected=f"{columns} columns" if columns is not None else "5 columns (Gaussian) or 8 (uniform)",
-            found=f"{count} in {first[:80]!r}",
-            mend="Pass columns= if the file is meant to have so many.",
+            got=f"{count} in {first[:80]!r}",
+            fix="Pass columns= if the file is meant to have so many.",
         )
     table = parse_table(data, dtypes=[np.dtype(np.float64)] * count, separator=separator, path=path)
     rows = np.stack(table, axis=1)
@@ -83,8 +83,8 @@ def _finite(
         path,
         where=f"line {bad + 1}",
         expected="finite numbers" if on_nan == "error" else "at least one point with finite numbers",
-        found=str(rows[bad].tolist()),
-        mend="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
+        got=str(rows[bad].tolist()),
+        fix="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
     )
 
 

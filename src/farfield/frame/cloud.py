@@ -213,8 +213,8 @@ def read_rows(
         good = [column for column in columns_read if column.ndim == 1]
         if len(good) < 4 or len({len(column) for column in good}) != 1 or len(good) != len(stored):
             actual = f"{', '.join(stored)[:80]}"
-            mend = "Delete the cache file, or write it anew: farfield convert DATA --to cache --overwrite."
-            raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", found=actual, mend=mend)
+            fix = "Delete the cache file, or write it anew: farfield convert DATA --to cache --overwrite."
+            raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", got=actual, fix=fix)
         return good
     return list(read_xyz(source, columns=columns, delimiter=delimiter).T)
 
@@ -353,8 +353,8 @@ def _from_columns(path: Path, columns: Mapping[str, np.ndarray], scale: float | 
             path,
             where="the intensity column",
             expected=f"values from 0 to {scale:g}",
-            found=f"{strength.min():g} to {strength.max():g}",
-            mend="Give the value that stands for full reflectance, such as intensity_scale=255, or fix the column.",
+            got=f"{strength.min():g} to {strength.max():g}",
+            fix="Give the value that stands for full reflectance, such as intensity_scale=255, or fix the column.",
         )
     extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
     return Cloud(points, np.clip(strength / np.float32(scale), 0.0, 1.0), extra)

@@ -81,8 +81,8 @@ def look_at(
         raise ConfigError(f"frame: expected a number from 0 to {len(data) - 1}, got {index}")
     frame = data[index]
     if frame.radar and frame.reference != "radar":
-        mend = "Open the data set with reference='radar'"
-        raise DatasetError(f"frame {frame.key}: expected the radar's coordinates, got {frame.reference}'s. {mend}")
+        fix = "Open the data set with reference='radar'"
+        raise DatasetError(f"frame {frame.key}: expected the radar's coordinates, got {frame.reference}'s. {fix}")
     try:
         views = radar_views(frame.radar, **settings)
     except ValueError as error:

@@ -69,9 +69,9 @@ class JobJournal:
                 try:
                     name, entry = _parse_line(line, offset)
                 except (ValueError, KeyError, TypeError, AttributeError) as error:
-                    mend = "Delete it, or pass --overwrite, to begin anew."
+                    fix = "Delete it, or pass --overwrite, to begin anew."
                     raise FileFormatError(
-                        self.path, where=f"line {number}", expected="a journal entry", found=plain(error), mend=mend
+                        self.path, where=f"line {number}", expected="a journal entry", got=plain(error), fix=fix
                     ) from error
                 self._sorted &= last < name
                 self._entries[name], last, offset = entry, name, offset + len(line)

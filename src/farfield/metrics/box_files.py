@@ -360,7 +360,7 @@ def _split(side: _SideBoxes, path: Path, objects: KittiObjects) -> tuple[Boxes, 
     for row in np.flatnonzero(~dontcare & ~sound)[:1]:
         values = " ".join(f"{value:g}" for value in [*objects.size_m[row], *objects.bottom_m[row]])
         expected = "positive h w l, and x y z within 1e9 metres"
-        raise FileFormatError(path, where=f"line {objects.line[row]}", expected=expected, found=values)
+        raise FileFormatError(path, where=f"line {objects.line[row]}", expected=expected, got=values)
     real = objects[~dontcare]
     side.turned(real.rotation_y_rad)
     details = {

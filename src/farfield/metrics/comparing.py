@@ -146,7 +146,7 @@ def _read(path: Path) -> dict[str, Tree]:
     try:
         tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the text", expected="JSON", found=plain(error)) from None
+        raise FileFormatError(path, where="the text", expected="JSON", got=plain(error)) from None
     inner = tree.get("results") if isinstance(tree, dict) else None
     results = inner if isinstance(inner, dict) and "protocol" not in tree else {"": tree}
     for name, beside in (tree.get("parts") or {}).items() if isinstance(tree, dict) and results is inner else ():
@@ -172,10 +172,10 @@ def _check(path: Path, result: Any) -> None:
             path,
             where="the top",
             expected="a result with protocol and settings",
-            found=f"{type(result).__name__} with {', '.join(map(str, result))[:80]}"
+            got=f"{type(result).__name__} with {', '.join(map(str, result))[:80]}"
             if isinstance(result, dict)
             else type(result).__name__,
-            mend="Write it with farfield score --json or farfield evaluate.",
+            fix="Write it with farfield score --json or farfield evaluate.",
         )
 
 

@@ -225,7 +225,7 @@ def scores_of(job: TrainingJob, folder: Path) -> Tree:
     try:
         return dict(json.loads(read_bytes(path, max_bytes=_MAX_BYTES)))
     except ValueError as error:
-        raise FileFormatError(path, where="the file", expected="the scores of a run", found=plain(error)) from None
+        raise FileFormatError(path, where="the file", expected="the scores of a run", got=plain(error)) from None
 
 
 def clocks_of(job: TrainingJob, folder: Path) -> list[dict[str, Any]]:

@@ -98,15 +98,15 @@ def load_network(path: Path) -> tuple[PlateNetwork, str]:
     try:
         tensors = load(data)
     except SafetensorError as error:
-        raise FileFormatError(path, where="header", expected="safetensors", found=str(error)) from error
+        raise FileFormatError(path, where="header", expected="safetensors", got=str(error)) from error
     network = PlateNetwork()
     state = network.state_dict()
     expected = {name: tuple(value.shape) for name, value in state.items() if not name.endswith(_COUNTER)}
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     if expected != shapes:
         odd = sorted(set(expected.items()) ^ set(shapes.items()))[0][0]
-        raise FileFormatError(path, where=odd, expected=str(expected.get(odd)), found=str(shapes.get(odd)))
+        raise FileFormatError(path, where=odd, expected=str(expected.get(odd)), got=str(shapes.get(odd)))
     if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
-        raise FileFormatError(path, where="tensors", expected="finite numbers", found="infinite ones or NaN")
+        raise FileFormatError(path, where="tensors", expected="finite numbers", got="infinite ones or NaN")
     network.load_state_dict({**state, **{name: tensor.float() for name, tensor in tensors.items()}})
     return network.eval(), hashlib.sha256(data).hexdigest()

@@ -40,8 +40,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
             path,
             where="file",
             expected="a checkpoint of farfield train",
-            found=str(error)[:200],
-            mend="Remove it to begin anew.",
+            got=str(error)[:200],
+            fix="Remove it to begin anew.",
         ) from error
     return state
 
@@ -99,7 +99,7 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
         modules_state, average, optimizer = _module_states(state), state["average"], state["optimizer"]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FileFormatError(
-            path, where="keys", expected="those of farfield train", found=plain(error), mend="Remove it to begin anew."
+            path, where="keys", expected="those of farfield train", got=plain(error), fix="Remove it to begin anew."
         ) from error
     _check_same(path, saved, provenance, step)
     if "network" in state:

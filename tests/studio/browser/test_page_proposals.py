@@ -1,4 +1,4 @@
-"""A detector's boxes as proposals: accepted, mended and rejected with clicks and keys; the label file that results."""
+"""A detector's boxes as proposals: accepted, fixed and rejected with clicks and keys; the label file that results."""
 
 import csv
 import json
@@ -101,7 +101,7 @@ def test_boxes_are_proposed_judged_and_only_those_that_stand_are_written(page: S
     assert page.selected["state"] == "proposed"
 
     page.click(third["box"][:3])
-    page.press("w", "w")  # mended
+    page.press("w", "w")  # fixed
     page.settled()
     assert page.selected["state"] == "edited"
     assert page.selected["proposal"] == pytest.approx(third["box"])

@@ -318,9 +318,7 @@ def cloud_of(columns: Columns, path: Path | str, *, limit: float | None, stamp_n
     """
     missing = [name for name in "xyz" if name not in columns]
     if missing:
-        raise FileFormatError(
-            path, where="a point cloud", expected="fields x, y, z", found=", ".join(columns) or "none"
-        )
+        raise FileFormatError(path, where="a point cloud", expected="fields x, y, z", got=", ".join(columns) or "none")
     points = np.column_stack([columns[name] for name in "xyz"]).astype(np.float32)
     finite = np.isfinite(points).all(axis=1)
     rest = {name: values[finite] for name, values in columns.items() if name not in "xyz"}

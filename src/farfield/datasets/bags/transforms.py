@@ -104,7 +104,7 @@ class Transforms:
         if not (np.isfinite(centre).all() and abs(norm - 1) < 1e-2):
             actual = f"rotation of length {norm:g}, translation {centre.tolist()}"
             where = f"transform of {child} in {parent}"
-            raise FileFormatError(self.bag.path, where=where, expected="a unit quaternion, a place", found=actual)
+            raise FileFormatError(self.bag.path, where=where, expected="a unit quaternion, a place", got=actual)
         time_ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
         return child, parent, time_ns, pose(rotation_from_quaternion(quaternion), centre)
 
@@ -137,6 +137,4 @@ class Transforms:
             if step is None:
                 return None
             name, matrix, moved = edge.parent, step @ matrix, moved or len(edge.times_ns) > 0
-        raise FileFormatError(
-            self.bag.path, where=f"the transforms above {source}", expected="a tree", found="a circle"
-        )
+        raise FileFormatError(self.bag.path, where=f"the transforms above {source}", expected="a tree", got="a circle")

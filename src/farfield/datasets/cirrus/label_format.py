@@ -149,7 +149,7 @@ def _parts(data: bytes, path: Path, key: Key, settings: Labels) -> list[FileSpan
     lines = physical_lines(data)
     if sum(bool(line.split()) for line in lines) != len(rows):
         actual = "line ends of another kind"
-        raise FileFormatError(path, where="the file", expected=r"lines that end in \n or \r\n", found=actual)
+        raise FileFormatError(path, where="the file", expected=r"lines that end in \n or \r\n", got=actual)
     parts, index = [], 0
     for line in lines:
         if not line.split():

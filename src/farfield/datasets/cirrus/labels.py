@@ -75,7 +75,7 @@ def parse_labels(data: bytes, path: Path, settings: Labels) -> RawLabels:
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found="other bytes") from error
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", got="other bytes") from error
     return _parse_text(path, text, settings) if path.suffix == ".txt" else _parse_json(path, text, settings)
 
 
@@ -83,21 +83,21 @@ def _parse_json(path: Path, text: str, settings: Labels) -> RawLabels:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", found=plain(error)) from error
+        raise FileFormatError(path, where="the file", expected="JSON", got=plain(error)) from error
     if not isinstance(content, dict) or not isinstance(content.get(settings.root), list):
         raise FileFormatError(
             path,
             where="the root",
             expected=f"an object with a list {settings.root!r}",
-            found=f"keys {sorted(content)[:8]}" if isinstance(content, dict) else type(content).__name__,
-            mend="Name the list's key in the mapping: labels: {root: ...}.",
+            got=f"keys {sorted(content)[:8]}" if isinstance(content, dict) else type(content).__name__,
+            fix="Name the list's key in the mapping: labels: {root: ...}.",
         )
     labels = content.pop(settings.root)
     for number, label in enumerate(labels):
         if not isinstance(label, dict) or not isinstance(label.get(settings.class_), str):
             actual = f"keys {sorted(label)[:12]}" if isinstance(label, dict) else type(label).__name__
             raise FileFormatError(
-                path, where=f"label {number}", expected=f"an object with text {settings.class_!r}", found=actual
+                path, where=f"label {number}", expected=f"an object with text {settings.class_!r}", got=actual
             )
     return RawLabels(
         path=path,
@@ -120,7 +120,7 @@ def _column(path: Path, labels: list[dict[str, Any]], key: str, width: int) -> F
             or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
         ):
             expected = f"{key!r} with {width} numbers"
-            raise FileFormatError(path, where=f"label {number}", expected=expected, found=repr(value)[:80])
+            raise FileFormatError(path, where=f"label {number}", expected=expected, got=repr(value)[:80])
         rows[number] = [float(x) if abs(x) < _LARGEST else np.nan for x in value]
     if not np.isfinite(rows).all():
         number = int(np.argwhere(~np.isfinite(rows))[0][0])
@@ -128,7 +128,7 @@ def _column(path: Path, labels: list[dict[str, Any]], key: str, width: int) -> F
             path,
             where=f"label {number}",
             expected=f"{key!r} finite and below {_LARGEST:g}",
-            found=repr(labels[number][key])[:80],
+            got=repr(labels[number][key])[:80],
         )
     return rows
 
@@ -151,7 +151,7 @@ def _parse_text(path: Path, text: str, settings: Labels) -> RawLabels:
             values = []
         if len(values) != 14 or not (np.abs(values) < _LARGEST).all():
             expected = "a class and 14 finite numbers"
-            raise FileFormatError(path, where=f"line {number}", expected=expected, found=repr(line[:80]))
+            raise FileFormatError(path, where=f"line {number}", expected=expected, got=repr(line[:80]))
         rows.append(values[7:])
         classes.append(fields[0])
     height, second, third, right, down, ahead, angle = np.array(rows, dtype=np.float64).reshape(-1, 7).T
@@ -228,7 +228,7 @@ def annotation_from_labels(raw: RawLabels, settings: Labels) -> Annotation:
 def _require(path: Path, good: Any, expected: str, values: Any) -> None:
     if not good.all():
         number = int(np.argmin(good))
-        raise FileFormatError(path, where=f"label {number}", expected=expected, found=str(values[number].tolist()))
+        raise FileFormatError(path, where=f"label {number}", expected=expected, got=str(values[number].tolist()))
 
 
 def _integers(raw: RawLabels, key: str) -> Any:

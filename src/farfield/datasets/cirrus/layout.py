@@ -88,7 +88,7 @@ class Labels(_MappingModel):
     size_order: Literal["lwh", "wlh", "lhw", "hlw", "whl", "hwl"] = "lwh"
     quat_order: Literal["xyzw", "wxyz"] = "xyzw"
     position_is: Literal["center", "bottom"] = "center"
-    yaw_scale: float = Field(1.0, description="factor on the yaw read; 57.29577951308232 mends degrees taken twice")
+    yaw_scale: float = Field(1.0, description="factor on the yaw read; 57.29577951308232 fixes degrees taken twice")
     yaw_offset_deg: float = 0.0
     text_naming: Literal["authors", "kitti"] = "authors"
     aliases: dict[str, str] = {}

@@ -110,8 +110,8 @@ class CirrusSweep:
                 self.path,
                 where="the intensity column",
                 expected=f"values from 0 to {scale:g}",
-                found=f"{columns['intensity'].min():g} to {columns['intensity'].max():g}",
-                mend="Give the true full scale in the mapping: xyz: {intensity_scale: 255}.",
+                got=f"{columns['intensity'].min():g} to {columns['intensity'].max():g}",
+                fix="Give the true full scale in the mapping: xyz: {intensity_scale: 255}.",
             )
         points = np.stack([columns[axis] for axis in "xyz"], axis=1).astype(np.float32)
         extra = {name: column for name, column in columns.items() if name not in ("x", "y", "z", "intensity")}
@@ -288,5 +288,5 @@ def _pose(raw: RawLabels | None) -> Any:
         matrix = np.zeros(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         assert raw is not None
-        raise FileFormatError(raw.path, where="world_T_lidar", expected="4 x 4 finite numbers", found=repr(value)[:80])
+        raise FileFormatError(raw.path, where="world_T_lidar", expected="4 x 4 finite numbers", got=repr(value)[:80])
     return matrix

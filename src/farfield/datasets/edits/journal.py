@@ -317,11 +317,11 @@ class _Reading:
 
 
 def _broken(path: Path, line: int, expected: str, actual: str) -> FileFormatError:
-    mend = (
+    fix = (
         f"The edits of the {line - 1} lines before it are sound: to go on with those, keep a copy and cut the file "
         f"there (head -n {line - 1})."
     )
-    return FileFormatError(path, where=f"line {line}", expected=expected, found=actual, mend=mend)
+    return FileFormatError(path, where=f"line {line}", expected=expected, got=actual, fix=fix)
 
 
 # Where a journal stands: beside the labels, or in the user's own folder where those cannot be written.

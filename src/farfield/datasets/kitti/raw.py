@@ -144,7 +144,7 @@ def _stamps(path: Path, changed_ns: int, size: int) -> Int64[np.ndarray, " n"]:
     del changed_ns, size
     stamps = recognise_stamps(path)
     if stamps is None:
-        raise FileFormatError(path, where="line 1", expected="a date and a time", found="something else")
+        raise FileFormatError(path, where="line 1", expected="a date and a time", got="something else")
     return np.concatenate(list(read_stamps(stamps)))
 
 

@@ -193,7 +193,7 @@ def _parse_header(text: str, path: Path | str) -> tuple[dict[str, int], int | No
     if not text.strip() or _OLD_HEADER.fullmatch(text.strip()):
         return {}, None
     expected = "the header '* idx(...)=00033_00001_00002_00001_00004, timestamp=...'"
-    raise FileFormatError(path, where="line 1", expected=expected, found=repr(text[:100]))
+    raise FileFormatError(path, where="line 1", expected=expected, got=repr(text[:100]))
 
 
 def _parse_object(cells: Sequence[str], path: Path | str, where: str) -> LabelLine:
@@ -209,9 +209,9 @@ def _parse_object(cells: Sequence[str], path: Path | str, where: str) -> LabelLi
     complete = len(integers) == len(before) in (1, 2) and len(finite) == 7
     if not complete or not name or _number(name) is not None:
         expected = "*, [R, L or L1,] one or two whole numbers, a class and seven numbers"
-        raise FileFormatError(path, where=where, expected=expected, found=repr(", ".join(cells))[:120])
+        raise FileFormatError(path, where=where, expected=expected, got=repr(", ".join(cells))[:120])
     if min(finite[4:]) <= 0:
-        raise FileFormatError(path, where=where, expected="positive sizes", found=repr(cells[-3:])[:120])
+        raise FileFormatError(path, where=where, expected="positive sizes", got=repr(cells[-3:])[:120])
     return LabelLine(availability=availability, numbers=tuple(integers), name=name, values=tuple(finite), slip=slip)
 
 
@@ -220,7 +220,7 @@ def _parse_from_above(cells: Sequence[str], path: Path | str, where: str) -> tup
     finite = tuple(value for value in values if value is not None)
     if len(cells) not in (7, 8) or len(finite) != 5:
         expected = "#, one or two whole numbers, a class and five numbers"
-        raise FileFormatError(path, where=where, expected=expected, found=repr(", ".join(cells))[:120])
+        raise FileFormatError(path, where=where, expected=expected, got=repr(", ".join(cells))[:120])
     return cells[-6], finite
 
 

@@ -116,7 +116,7 @@ def read_cells(path: Path) -> RadarCells:
     columns = read_radar_cells(path)
     if columns["quantiles"].shape != (2, len(RATES)):
         expected, actual = f"quantiles of shape {(2, len(RATES))}", f"{columns['quantiles'].shape}"
-        raise FileFormatError(path, where="column 'quantiles'", expected=expected, found=actual)
+        raise FileFormatError(path, where="column 'quantiles'", expected=expected, got=actual)
     return RadarCells(columns["index"], columns["code"], columns.get("doppler"), columns["quantiles"])
 
 
@@ -129,7 +129,7 @@ def _shaped(product: str, values: Shaped[np.ndarray, "..."], shape: tuple[int, .
 def _checked(path: Path, values: Shaped[np.ndarray, "..."], shape: tuple[int, ...]) -> np.ndarray:
     if values.shape != shape or values.dtype.kind != "f":
         expected, actual = f"floating-point numbers of shape {shape}", f"{values.dtype} of shape {values.shape}"
-        raise FileFormatError(path, where="the array", expected=expected, found=actual)
+        raise FileFormatError(path, where="the array", expected=expected, got=actual)
     return values
 
 
@@ -199,7 +199,7 @@ def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
     missing = [name for name in _FIELDS if name not in fields or fields[name].ndim != 1]
     if missing:
         expected, actual = f"fields {' '.join(_FIELDS)}", f"no single {missing[0]!r} a point"
-        raise FileFormatError(path, where="FIELDS", expected=expected, found=actual)
+        raise FileFormatError(path, where="FIELDS", expected=expected, got=actual)
     points = np.stack([fields[axis].astype(np.float32) for axis in "xyz"], axis=1)
     returned = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
     columns, rest = divmod(len(points), LIDARS[lidar])
@@ -259,7 +259,7 @@ def read_moments(path: Path | str, axes: RadarAxes = KRADAR_AXES) -> Moments:
     with open_mat(path, "arrDREA") as stream:
         if stream.shape != TESSERACT_SHAPE or stream.dtype.kind != "f":
             expected, actual = f"floating-point numbers of shape {TESSERACT_SHAPE}", f"{stream.dtype} of {stream.shape}"
-            raise FileFormatError(path, where="the array", expected=expected, found=actual)
+            raise FileFormatError(path, where="the array", expected=expected, got=actual)
         reduced = moments_of_columns(stream.blocks(_BLOCK_CELLS), axes)
     return Moments(*(np.ascontiguousarray(values[:, ::-1, ::-1]) for values in reduced))
 

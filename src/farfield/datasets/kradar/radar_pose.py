@@ -86,10 +86,10 @@ def read_matching(path: Path) -> InfoMatching:
     rows = [numbers_of(line.split(",")) for line in lines[1:4]]
     if len(names) != 3 or len(rows) != 3 or any(row is None or len(row) != 3 for row in rows):
         expected = "three names, three lines of three numbers"
-        raise FileFormatError(path, where="the file", expected=expected, found=str(lines[:4])[:120])
+        raise FileFormatError(path, where="the file", expected=expected, got=str(lines[:4])[:120])
     total, base, offset = (np.array(row, dtype=np.float64) for row in rows)
     if np.abs(base + offset - total).max() > _SUM:
-        raise FileFormatError(path, where="line 2", expected=f"the sum {base + offset}", found=f"{total}")
+        raise FileFormatError(path, where="line 2", expected=f"the sum {base + offset}", got=f"{total}")
     a, b = ((float(row[0]), float(row[1]), float(row[2])) for row in (base, offset))
     return InfoMatching(names=(names[0], names[1], names[2]), base=a, offset=b)
 
@@ -107,14 +107,14 @@ def read_side_file(path: Path) -> dict[str, Any]:
         if not np.isfinite([*matrix.ravel(), yaw]).all():
             raise ValueError("numbers that are not finite")
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="radar_T_lidar, yaw_rad", found=plain(error)) from error
+        raise FileFormatError(path, where="the file", expected="radar_T_lidar, yaw_rad", got=plain(error)) from error
     text = path.with_name(RADAR_FILE)
     if text.exists():
         _, x, y = read_radar_calibration(text)
         if max(abs(matrix[0, 3] + x), abs(matrix[1, 3] + y)) > _ROUNDED_M:
             actual = f"{matrix[0, 3]:.4f}, {matrix[1, 3]:.4f} against {-x:.4f}, {-y:.4f}"
-            mend = "The text file counts: delete the side file or calibrate anew."
-            raise FileFormatError(path, where="x, y", expected=f"those of {text.name}", found=actual, mend=mend)
+            fix = "The text file counts: delete the side file or calibrate anew."
+            raise FileFormatError(path, where="x, y", expected=f"those of {text.name}", got=actual, fix=fix)
     return dict(content, radar_T_lidar=matrix, yaw_rad=yaw)
 
 
@@ -150,5 +150,5 @@ def read_os2_T_os1(files: FileIndex, sequence: str) -> Float[np.ndarray, "4 4"] 
         if not np.isfinite(matrix).all() or np.linalg.det(matrix[:3, :3]) < 0:
             raise ValueError("no rigid motion")
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise FileFormatError(path, where="os2_T_os1", expected="a rigid motion", found=plain(error)) from error
+        raise FileFormatError(path, where="os2_T_os1", expected="a rigid motion", got=plain(error)) from error
     return matrix

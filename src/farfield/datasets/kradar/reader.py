@@ -411,6 +411,6 @@ def read_split_list(path: Path) -> set[tuple[str, str]]:
         match = _LINE.fullmatch(line)
         if match is None:
             expected = "a line such as 1,00033_00001.txt"
-            raise FileFormatError(path, where=f"line {number}", expected=expected, found=repr(line[:80]))
+            raise FileFormatError(path, where=f"line {number}", expected=expected, got=repr(line[:80]))
         keys.add((match[1], match[2]))
     return keys

@@ -66,7 +66,7 @@ def read_radar_calibration(path: Path) -> tuple[int, float, float]:
     values = numbers_of(lines[1].split(",")) if len(lines) > 1 else None
     if values is None or len(values) != 3 or not values[0].is_integer():
         expected = "a whole number and two numbers"
-        raise FileFormatError(path, where="line 2", expected=expected, found=repr(lines[1:2])[:100])
+        raise FileFormatError(path, where="line 2", expected=expected, got=repr(lines[1:2])[:100])
     return int(values[0]), -values[1], -values[2]
 
 
@@ -86,7 +86,7 @@ def read_times(path: Path) -> dict[str, int]:
     for number, line in enumerate(read_lines(path), start=1):
         match = re.fullmatch(r"([^,]+?)\s*,\s*([0-9]{1,9}|[0-8][0-9]{9})(?:\.([0-9]{1,9})[0-9]*)?", line)
         if not match:
-            raise FileFormatError(path, where=f"line {number}", expected="file, unix seconds", found=repr(line[:100]))
+            raise FileFormatError(path, where=f"line {number}", expected="file, unix seconds", got=repr(line[:100]))
         times[match[1]] = int(match[2]) * 1_000_000_000 + int((match[3] or "").ljust(9, "0"))
     return times
 
@@ -120,7 +120,7 @@ def read_camera(path: Path) -> Camera:
     for key in (*_CAMERA_KEYS, *_POSE_KEYS):
         if numbers_of([cells.get(key, "")]) is None:
             actual = repr(cells.get(key))[:80]
-            raise FileFormatError(path, where=f"key {key!r}", expected="a finite number", found=actual)
+            raise FileFormatError(path, where=f"key {key!r}", expected="a finite number", got=actual)
     fx, fy, px, py, *distortion = (float(cells[key]) for key in _CAMERA_KEYS)
     yaw, pitch, roll, *translation = (float(cells[key]) for key in _POSE_KEYS)
     pose = np.eye(4)
@@ -153,7 +153,7 @@ def read_odometry(path: Path) -> Float[np.ndarray, "n 4 4"]:
     for number, line in enumerate(lines, start=1):
         values = numbers_of(line.split())
         if values is None or len(values) != 12 or not all(map(math.isfinite, values)):
-            raise FileFormatError(path, where=f"line {number}", expected="12 finite numbers", found=repr(line[:100]))
+            raise FileFormatError(path, where=f"line {number}", expected="12 finite numbers", got=repr(line[:100]))
         poses[number - 1, :3] = np.reshape(values, (3, 4))
     return poses
 
@@ -235,7 +235,7 @@ def _read_table(path: Path, columns: Sequence[str]) -> TimedTable:
         numbers, time_ns = numbers_of(cells[1:]), _time_ns(cells[0])
         if numbers is None or time_ns is None or len(numbers) != len(columns):
             expected = f"a time and {len(columns)} finite numbers"
-            raise FileFormatError(path, where=f"row {row + 1}", expected=expected, found=repr(", ".join(cells))[:100])
+            raise FileFormatError(path, where=f"row {row + 1}", expected=expected, got=repr(", ".join(cells))[:100])
         times[row], values[row] = time_ns, numbers
     return TimedTable(time_ns=times, values=values, columns=tuple(columns))
 
@@ -273,7 +273,7 @@ def read_relative_odometry(path: Path) -> Float[np.ndarray, "n 4 4"]:
         values = numbers_of(line.split())
         if values is None or len(values) != 7 or not abs(np.linalg.norm(values[:4]) - 1.0) < 1e-3:
             expected = "a unit quaternion qw qx qy qz and tx ty tz"
-            raise FileFormatError(path, where=f"line {row + 1}", expected=expected, found=repr(line[:100]))
+            raise FileFormatError(path, where=f"line {row + 1}", expected=expected, got=repr(line[:100]))
         step = np.eye(4)
         step[:3, :3] = Rotation.from_quat([*values[1:4], values[0]]).as_matrix()
         step[:3, 3] = values[4:]

@@ -293,7 +293,7 @@ def read_record(path: Path) -> FrameRecord:
         if missing:
             raise ValueError(f"no index of {sorted(missing)[0]}")
     except (ValidationError, ValueError) as error:
-        raise FileFormatError(path, where="the record", expected="a frame's record", found=plain(error)) from error
+        raise FileFormatError(path, where="the record", expected="a frame's record", got=plain(error)) from error
     return record
 
 

@@ -213,8 +213,8 @@ def _written(
 
 def _track(label: BoxLabel, header: Sequence[str], path: Path) -> str:
     if label.track and "track_id" not in header:
-        mend = "Save into a new folder, whose file has the column, or leave the track empty."
-        raise ConfigError(f"{path}: has no column track_id, and a {label.label} has the track {label.track}. {mend}")
+        fix = "Save into a new folder, whose file has the column, or leave the track empty."
+        raise ConfigError(f"{path}: has no column track_id, and a {label.label} has the track {label.track}. {fix}")
     if label.track and not (label.track.isascii() and label.track.isdigit() and int(label.track) < 2**53):
         raise ConfigError(f"{path}: expected a whole number as track of a {label.label}, got {label.track!r}")
     return label.track

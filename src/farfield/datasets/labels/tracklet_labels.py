@@ -201,8 +201,8 @@ def _of_all(tracklet: _TrackletObject, path: Path) -> Iterator[Edit]:
     """Edits of what an object has once: class and size."""
     for what, values in (("class", tracklet.named), ("size", tracklet.sized)):
         if len(values) > 1:
-            mend = "Lock its size (Ctrl+L), or give one of the boxes another track."
-            raise ConfigError(f"{path}: an object has one {what} in all frames, got {sorted(values)}. {mend}")
+            fix = "Lock its size (Ctrl+L), or give one of the boxes another track."
+            raise ConfigError(f"{path}: an object has one {what} in all frames, got {sorted(values)}. {fix}")
     if tracklet.span is not None and tracklet.named:
         (named,) = tracklet.named
         yield _text(tracklet.span, "objectType", escape(named))

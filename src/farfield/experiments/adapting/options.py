@@ -106,8 +106,8 @@ def load_thresholds(folder: Path, settings: Mapping[str, Any]) -> CalibratedThre
             path,
             where="the file",
             expected="the thresholds of farfield adapt",
-            found=plain(error),
-            mend="Begin anew with --overwrite.",
+            got=plain(error),
+            fix="Begin anew with --overwrite.",
         ) from error
     current = json.loads(json.dumps(dict(settings)))
     before = thresholds.settings

@@ -60,7 +60,7 @@ def _pictured(data: Dataset, index: int) -> list[str]:
     return [name for name in frame.cameras if name in frame.images]
 
 
-def _finding(name: str, check: CalibrationCheck, mend: str) -> Finding:
+def _finding(name: str, check: CalibrationCheck, fix: str) -> Finding:
     size = f"{check.degrees:.2f} degrees, {check.cm:.0f} cm" + (f", {check.px:.1f} px" if check.px else "")
     drift = f"{check.drift_degrees:.2f} degrees, {check.drift_cm:.0f} cm"
     what = {
@@ -70,7 +70,7 @@ def _finding(name: str, check: CalibrationCheck, mend: str) -> Finding:
         "not told": f"{check.frames} frames do not tell: {_lacking(check)}",
     }[check.verdict]
     severity: Severity = "warn" if check.claimed else "ok"
-    return Finding(severity=severity, topic=f"calibration of {name}", what=what, mend=mend if check.claimed else "")
+    return Finding(severity=severity, topic=f"calibration of {name}", what=what, fix=fix if check.claimed else "")
 
 
 def _lacking(check: CalibrationCheck) -> str:

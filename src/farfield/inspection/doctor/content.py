@@ -62,10 +62,10 @@ def check_clouds(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic=f"cloud {name}", what=what)
         if strength is not None and not strength.any():
             mapped = isinstance(survey.dataset.unwrapped, Cirrus)
-            mend = "A detector trained with intensity will not work here" + (
+            fix = "A detector trained with intensity will not work here" + (
                 ": name the right column in the mapping." if mapped else "; see whether another column holds it."
             )
-            yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", mend=mend)
+            yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", fix=fix)
         yield from _doubtful_columns(name, loaded)
         yield from _units_of_points(name, points, reach_m)
 
@@ -84,8 +84,8 @@ def _doubtful_columns(name: str, read: Sequence[Cloud]) -> Iterator[Finding]:
             doubtful[column] = f"{column} (to {np.abs(values[np.isfinite(values)]).max(initial=0):.3g})"
     if doubtful:
         what = f"impossible numbers in {', '.join(doubtful.values())}: the header may give wrong places for them"
-        mend = "Positions and intensity are not touched; do not use these columns, or write the header anew."
-        yield Finding(severity="warn", topic=f"cloud {name}", what=what, mend=mend)
+        fix = "Positions and intensity are not touched; do not use these columns, or write the header anew."
+        yield Finding(severity="warn", topic=f"cloud {name}", what=what, fix=fix)
 
 
 def _scale_text(survey: Survey, name: str) -> str:
@@ -114,7 +114,7 @@ def _units_of_points(name: str, points: Float32[np.ndarray, "n 3"], reach_m: flo
     unit = "kilometres or another large unit" if reach_m < 1.0 else unit
     if unit:
         what = f"the farthest point lies at {reach_m:.3g}: the cloud seems to be in {unit}"
-        yield Finding(severity="fail", topic="units", what=what, where=name, mend="Bring the points to metres.")
+        yield Finding(severity="fail", topic="units", what=what, where=name, fix="Bring the points to metres.")
 
 
 def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -147,7 +147,7 @@ def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             severity="fail" if most else "warn",
             topic="class names",
             what=f"not in the vocabulary, read as unknown: {shown}",
-            mend="Give aliases in the mapping, such as labels: {aliases: {car: vehicle}}.",
+            fix="Give aliases in the mapping, such as labels: {aliases: {car: vehicle}}.",
         )
 
 
@@ -167,7 +167,7 @@ def _own_names(table: Mapping[str, Mapping[str, int]], *, in_folder: bool) -> It
         topic="class names",
         what=f"not in the vocabulary ({', '.join(vocabulary)}): {shown}"
         + (f"; did you mean {pairs}?" if meant else ""),
-        mend=_rename(pairs, in_folder=in_folder),
+        fix=_rename(pairs, in_folder=in_folder),
     )
 
 
@@ -196,16 +196,16 @@ def check_sizes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     unit = unit_of_sizes(longest)
     if unit:
         what = f"the median box is {longest:.3g} long: sizes seem to be in {unit}"
-        yield Finding(severity="fail", topic="units", what=what, mend="Bring sizes and positions to metres.")
+        yield Finding(severity="fail", topic="units", what=what, fix="Bring sizes and positions to metres.")
         return
     limits = np.array([_LARGEST_M.get(label, (60.0, 20.0, 20.0)) for label in np.asarray(boxes.label).tolist()])
     large = (-np.sort(-boxes.size_m, axis=1) > limits).any(axis=1)
     small = boxes.size_m.max(axis=1) < 0.1
     share = float((large | small).mean())
     what = f"{int(large.sum())} too large for their class, {int(small.sum())} below 0.1 m, of {len(boxes)}"
-    mend = "Look at them: a wrong class or a slip of the hand." if share else ""
+    fix = "Look at them: a wrong class or a slip of the hand." if share else ""
     severity = "fail" if share > 0.5 and len(boxes) >= 10 else "warn" if share else "ok"
-    yield Finding(severity=severity, topic="box sizes", what=what, mend=mend)  # type: ignore[arg-type]
+    yield Finding(severity=severity, topic="box sizes", what=what, fix=fix)  # type: ignore[arg-type]
 
 
 def check_suspicious_boxes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -225,15 +225,15 @@ def check_suspicious_boxes(survey: Survey, facts: dict[str, Any]) -> Iterator[Fi
     facts["points_in_boxes"] = {"boxes": total, "empty": empty, "near": near, "near_empty": near_empty}
     yield _overlap(total, empty, near, near_empty)
     if doubled:
-        mend = "Two boxes of one class share a place: remove one, or every detection of it counts once as missed."
+        fix = "Two boxes of one class share a place: remove one, or every detection of it counts once as missed."
         what = f"{doubled} of {total} boxes stand in another of their class"
-        yield Finding(severity="warn", topic="doubled boxes", what=what, mend=mend)
+        yield Finding(severity="warn", topic="doubled boxes", what=what, fix=fix)
     if buried:
         what = f"{buried} of {total} boxes end below the ground round them"
         severity = "fail" if buried > 0.5 * total and total >= 10 else "warn"
         named = " (position_is in the mapping)" if isinstance(survey.dataset.unwrapped, Cirrus) else ""
-        mend = f"Check the height of the boxes{named} and the pose of the sensor."
-        yield Finding(severity=severity, topic="underground", what=what, mend=mend)  # type: ignore[arg-type]
+        fix = f"Check the height of the boxes{named} and the pose of the sensor."
+        yield Finding(severity=severity, topic="underground", what=what, fix=fix)  # type: ignore[arg-type]
 
 
 def _overlap(total: int, empty: int, near: int, near_empty: int) -> Finding:
@@ -241,11 +241,11 @@ def _overlap(total: int, empty: int, near: int, near_empty: int) -> Finding:
         f"{total - empty} of {total} boxes hold points above the ground; nearer than 70 m {near - near_empty} of {near}"
     )
     if total >= 3 and (empty > 0.9 * total or (near >= 10 and near_empty > 0.75 * near)):
-        mend = "Boxes and points do not belong together: check pairing, axes, units and the order of the sizes."
-        return Finding(severity="fail", topic="points in boxes", what=what, mend=mend)
+        fix = "Boxes and points do not belong together: check pairing, axes, units and the order of the sizes."
+        return Finding(severity="fail", topic="points in boxes", what=what, fix=fix)
     many = empty > 0.3 * total
-    mend = "Train and score with min_points 1 to leave empty boxes out." if many else ""
-    return Finding(severity="warn" if many else "ok", topic="points in boxes", what=what, mend=mend)
+    fix = "Train and score with min_points 1 to leave empty boxes out." if many else ""
+    return Finding(severity="warn" if many else "ok", topic="points in boxes", what=what, fix=fix)
 
 
 def _count_doubled(boxes: Boxes) -> int:
@@ -280,8 +280,8 @@ def check_clouds_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Find
             f"the densest layer lies {ground:.1f} m above the sensor, {below:.0%} of the points below it and "
             f"{above:.0%} above: z seems to point down"
         )
-        mend = "z points up and y left: from axes x ahead, y right, z down change the sign of y and z, of boxes too."
-        yield Finding(severity="fail", topic="axes", what=what, mend=mend)
+        fix = "z points up and y left: from axes x ahead, y right, z down change the sign of y and z, of boxes too."
+        yield Finding(severity="fail", topic="axes", what=what, fix=fix)
 
 
 def check_cameras_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -301,5 +301,5 @@ def check_cameras_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Fin
         what = f"camera {name} lies on its side or its head (cosine between its down and the ground's: {down:.2f})"
         if inverse > _STANDING:
             what += "; it is upright if camera_T_lidar is inverted: the file holds lidar_T_camera"
-        mend = "Give camera_T_lidar, which takes the lidar's points (z up) to the camera (x right, y down, z ahead)."
-        yield Finding(severity="fail", topic="calibration", what=what, mend=mend)
+        fix = "Give camera_T_lidar, which takes the lidar's points (z up) to the camera (x right, y down, z ahead)."
+        yield Finding(severity="fail", topic="calibration", what=what, fix=fix)

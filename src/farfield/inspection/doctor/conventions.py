@@ -309,19 +309,19 @@ def check_quaternion_order(survey: Survey, facts: dict[str, Any]) -> Iterator[Fi
     evidence += f", {upright['wxyz' if decided == 'xyzw' else 'xyzw']:.0%} the other way round"
     what = f"{_SPELLED[decided]}, decided from the data ({evidence})"
     if decided != read:
-        mend = _mend(reader, f"Write them as {_SPELLED[read]}", f"quat_order: {decided}")
+        fix = _fix(reader, f"Write them as {_SPELLED[read]}", f"quat_order: {decided}")
         what = f"{_SPELLED[decided]}, but read as {_SPELLED[read]} ({evidence})"
-        yield Finding(severity="fail", topic="quaternion order", what=what, mend=mend)
+        yield Finding(severity="fail", topic="quaternion order", what=what, fix=fix)
     elif upright[read] < 0.9:
-        mend = "Neither order makes the boxes upright: the quaternions are damaged or in other axes."
+        fix = "Neither order makes the boxes upright: the quaternions are damaged or in other axes."
         what = f"unclear: {upright['xyzw']:.0%} upright as x y z w, {upright['wxyz']:.0%} as w x y z"
-        yield Finding(severity="fail", topic="quaternion order", what=what, mend=mend)
+        yield Finding(severity="fail", topic="quaternion order", what=what, fix=fix)
     else:
         yield Finding(severity="ok", topic="quaternion order", what=what)
     off = int((np.abs(norm - 1) > 1e-3).sum())
     if off:
         what = f"{off} of {len(norm)} are not of length 1"
-        yield Finding(severity="warn", topic="quaternion norm", what=what, mend="They are normalised when read.")
+        yield Finding(severity="warn", topic="quaternion norm", what=what, fix="They are normalised when read.")
 
 
 def _upright_share(rows: np.ndarray, order: str) -> float:
@@ -360,7 +360,7 @@ def check_conventions(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding
     yield from _centre(reader, by_name, changes, facts)
     for ballot in changes:
         if ballot.name in _AXES:
-            yield Finding(severity="fail", topic="axes", what=_AXES[ballot.name] + _votes(ballot), mend=_AXES_MEND)
+            yield Finding(severity="fail", topic="axes", what=_AXES[ballot.name] + _votes(ballot), fix=_AXES_MEND)
 
 
 _AXES = {
@@ -396,7 +396,7 @@ _YAW = {
 """What is wrong, what to do, and which setting of a Cirrus mapping does it."""
 
 
-def _mend(reader: Dataset, action: str, setting: str) -> str:
+def _fix(reader: Dataset, action: str, setting: str) -> str:
     """What to do, and the setting that does it where the layout has a mapping with such settings: Cirrus' alone."""
     settable = f", or set labels: {{{setting}}} in the mapping" if setting and isinstance(reader, Cirrus) else ""
     return f"{action}{settable}."
@@ -437,8 +437,8 @@ def _size_order(
             letters[read.index("lwh"[axis])] = letter
         facts["size_order"] = "".join(letters)
         what = f"{' '.join(letters)}, but read as {' '.join(read)}{_votes(change)}"
-        mend = _mend(reader, f"Write sizes as {' '.join(read)}", f"size_order: {''.join(letters)}")
-        yield Finding(severity="fail", topic="size order", what=what, mend=mend)
+        fix = _fix(reader, f"Write sizes as {' '.join(read)}", f"size_order: {''.join(letters)}")
+        yield Finding(severity="fail", topic="size order", what=what, fix=fix)
         return
     facts["size_order"] = read
     swapped = by_name["size 102"]
@@ -471,18 +471,18 @@ def _heading(
         if change.name in _YAW:
             what, action, setting = _YAW[change.name]
             facts["yaw"] = what
-            mend = _mend(reader, action, setting)
-            yield Finding(severity="fail", topic="yaw", what=what + _votes(change), mend=mend)
+            fix = _fix(reader, action, setting)
+            yield Finding(severity="fail", topic="yaw", what=what + _votes(change), fix=fix)
             return
         if change.name in SIZE_READINGS and _quarter_turn(change, boxes):
             facts["yaw"] = "off by 90 degrees"
-            mend = _mend(reader, "Add 90 degrees to the yaw", "yaw_offset_deg: 90")
-            yield Finding(severity="fail", topic="yaw", what="off by 90 degrees" + _votes(change), mend=mend)
+            fix = _fix(reader, "Add 90 degrees to the yaw", "yaw_offset_deg: 90")
+            yield Finding(severity="fail", topic="yaw", what="off by 90 degrees" + _votes(change), fix=fix)
             return
     if misfit_is_clear(share, elongated) and not changes:
         what = f"{share:.0%} of {elongated} long boxes with points would fit much better with another heading"
-        mend = "Check the unit, sign and zero of the yaw against the points."
-        yield Finding(severity="fail", topic="yaw", what=what, mend=mend)
+        fix = "Check the unit, sign and zero of the yaw against the points."
+        yield Finding(severity="fail", topic="yaw", what=what, fix=fix)
         return
     tested = [by_name[name] for name in _YAW]
     if any(ballot.loses for ballot in tested):
@@ -494,8 +494,8 @@ def _heading(
     largest = float(np.abs(boxes.yaw_rad).max(initial=0.0))
     if len(boxes) >= 20 and 0 < largest <= np.pi * np.pi / 180 + 1e-6:
         what = f"all {len(boxes)} headings lie within {np.rad2deg(largest):.1f} degrees of +x"
-        mend = "Right on a straight one-way road; otherwise yaw may have been multiplied by pi/180 once too often."
-        yield Finding(severity="warn", topic="yaw", what=what, mend=mend)
+        fix = "Right on a straight one-way road; otherwise yaw may have been multiplied by pi/180 once too often."
+        yield Finding(severity="warn", topic="yaw", what=what, fix=fix)
 
 
 def _centre(
@@ -508,8 +508,8 @@ def _centre(
         facts["position"] = position
         what = f"position is the {position} of the box, but read as its centre{_votes(change)}"
         sign = "Add" if position == "bottom" else "Subtract"
-        mend = _mend(reader, f"{sign} half the height", "position_is: bottom" if position == "bottom" else "")
-        yield Finding(severity="fail", topic="box centre", what=what, mend=mend)
+        fix = _fix(reader, f"{sign} half the height", "position_is: bottom" if position == "bottom" else "")
+        yield Finding(severity="fail", topic="box centre", what=what, fix=fix)
         return
     facts["position"] = "centre"
     ballot = by_name["raised by h/2"]

@@ -28,7 +28,7 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             severity="ok" if survey.sensors else "fail",
             topic="frames",
             what=f"{counted(count, 'frame')}: {kinds}",
-            mend=""
+            fix=""
             if survey.sensors
             else "Add the clouds: without them nothing can be trained or detected. Annotations alone are enough for "
             "farfield stats and farfield score.",
@@ -39,7 +39,7 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
     yield _calibration(survey)
     for error in survey.damaged[:5]:
-        yield Finding(severity="fail", topic="damaged", what=error, mend="Mend or remove the file.")
+        yield Finding(severity="fail", topic="damaged", what=error, fix="Fix or remove the file.")
     if len(survey.damaged) > 5:
         yield Finding(severity="fail", topic="damaged", what=f"and {len(survey.damaged) - 5} more")
 
@@ -48,10 +48,10 @@ def _calibration(survey: Survey) -> Finding:
     if survey.cameras or not survey.images:
         what = f"cameras {', '.join(sorted(survey.cameras))}" if survey.cameras else "no calibration"
         return Finding(severity="ok", topic="calibration", what=what)
-    mend = "Boxes cannot be drawn into the images."
+    fix = "Boxes cannot be drawn into the images."
     if isinstance(survey.dataset.unwrapped, Cirrus | Folder):
-        mend += " Put calibration.yaml (matrix, distortion, camera_T_lidar, width, height) into the root."
-    return Finding(severity="warn", topic="calibration", what="no calibration", mend=mend)
+        fix += " Put calibration.yaml (matrix, distortion, camera_T_lidar, width, height) into the root."
+    return Finding(severity="warn", topic="calibration", what="no calibration", fix=fix)
 
 
 def _cirrus_folders(survey: Survey, reader: Cirrus) -> Iterator[Finding]:
@@ -67,7 +67,7 @@ def _cirrus_folders(survey: Survey, reader: Cirrus) -> Iterator[Finding]:
                 severity="warn",
                 topic=f"{pattern_name} sweeps",
                 what=f"no {pattern_name.lower() if pattern_name == 'uniform' else pattern_name} folder",
-                mend=f"Only the other pattern can be used. If it is there, name it: layout: {{{pattern}: ...}}.",
+                fix=f"Only the other pattern can be used. If it is there, name it: layout: {{{pattern}: ...}}.",
             )
             continue
         facts = counted(files, f"{pattern_name} frame")
@@ -82,7 +82,7 @@ def _cirrus_folders(survey: Survey, reader: Cirrus) -> Iterator[Finding]:
             topic="labels",
             what=f"{len(orphans)} annotations have no Gaussian sweep of the same name",
             where=orphans[0].name,
-            mend="Name the annotation like its Gaussian sweep.",
+            fix="Name the annotation like its Gaussian sweep.",
         )
 
 
@@ -90,11 +90,11 @@ def _labels(survey: Survey) -> Finding:
     count, boxes = len(survey.dataset), sum(len(part) for part in survey.boxes)
     what = f"{len(survey.boxes)} of {count} frames annotated, {boxes} boxes"
     if boxes == 0:
-        mend = "Training and scoring need boxes; prediction does not. Check the folder's name and the stems."
-        return Finding(severity="fail", topic="labels", what=what, mend=mend)
+        fix = "Training and scoring need boxes; prediction does not. Check the folder's name and the stems."
+        return Finding(severity="fail", topic="labels", what=what, fix=fix)
     if survey.unlabelled:
-        mend = "Frames without annotation are left out of training and scoring."
-        return Finding(severity="warn", topic="labels", what=what, mend=mend)
+        fix = "Frames without annotation are left out of training and scoring."
+        return Finding(severity="warn", topic="labels", what=what, fix=fix)
     return Finding(severity="ok", topic="labels", what=what)
 
 
@@ -108,7 +108,7 @@ def _stray_labels(survey: Survey) -> Iterator[Finding]:
             topic="labels",
             what=f"{len(strays)} annotations belong to no cloud",
             where=strays[0],
-            mend=f"Name them like the clouds, such as {reader.frame_ids[0]}.",
+            fix=f"Name them like the clouds, such as {reader.frame_ids[0]}.",
         )
 
 
@@ -135,8 +135,8 @@ def _rate(times_ns: np.ndarray, sequences: tuple[str, ...], facts: dict[str, Any
     if len(steps_s) == 0:
         return Finding(severity="ok", topic="times", what=f"single frames, {lengths}")
     if (steps_s <= 0).any():
-        mend = "Times must grow within a sequence; look for doubled files."
-        return Finding(severity="warn", topic="times", what="times do not grow", mend=mend)
+        fix = "Times must grow within a sequence; look for doubled files."
+        return Finding(severity="warn", topic="times", what="times do not grow", fix=fix)
     period = float(np.median(steps_s))
     missing = int((steps_s > 1.5 * period).sum())
     facts |= {"frame_rate_hz": round(1 / period, 3), "gaps": missing}
@@ -153,11 +153,11 @@ def _pairs(dt_ms: np.ndarray, frames: int, facts: dict[str, Any]) -> Finding:
     shown = ", ".join(f"{count} at {name} ms" for name, count in histogram.items())
     what = f"{len(dt_ms)} of {frames} frames paired; |uniform - Gaussian|: {shown}"
     if len(dt_ms) < 0.9 * frames:
-        mend = "Raise pairing: {max_dt_ms: ...} in the mapping, or use mode: order."
-        return Finding(severity="warn", topic="pairing", what=what, mend=mend)
+        fix = "Raise pairing: {max_dt_ms: ...} in the mapping, or use mode: order."
+        return Finding(severity="warn", topic="pairing", what=what, fix=fix)
     slow = np.median(np.abs(dt_ms)) > 50
-    mend = "Boxes belong to the Gaussian sweep: at 30 m/s an object moves 2 m in 68 ms." if slow else ""
-    return Finding(severity="warn" if slow else "ok", topic="pairing", what=what, mend=mend)
+    fix = "Boxes belong to the Gaussian sweep: at 30 m/s an object moves 2 m in 68 ms." if slow else ""
+    return Finding(severity="warn" if slow else "ok", topic="pairing", what=what, fix=fix)
 
 
 # What the stamps say: gaps, doubled and backward ones, breaks, and sensors that are out of step with the frames.
@@ -240,10 +240,10 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
         counts = {drive: getattr(stats, what) for drive, stats in by.items() if getattr(stats, what)}
         if counts:
             total = sum(counts.values())
-            mend = "Times must grow within a drive: look for doubled files, or for a clock that was set."
+            fix = "Times must grow within a drive: look for doubled files, or for a clock that was set."
             text = f"{name}: {counted(total, 'stamp')} {fault}, of {sum(stats.count for stats in by.values())}"
             where = ", ".join(list(counts)[:3]) + (", ..." if len(counts) > 3 else "")
-            yield Finding(severity="warn", topic="stamps", what=text, where=where, mend=mend)
+            yield Finding(severity="warn", topic="stamps", what=text, where=where, fix=fix)
     breaks = {
         drive: stats.longest_gap_ns
         for drive, stats in by.items()
@@ -252,8 +252,8 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
     if breaks and name == FRAMES:
         drive = max(breaks, key=lambda key: breaks[key])
         text = f"a break of {breaks[drive] / 1e9:.1f} s within a drive; {counted(len(breaks), 'drive')} with one"
-        mend = "What stands before and after belongs to two drives: sweeps and tracks across it are wrong."
-        yield Finding(severity="warn", topic="stamps", what=text, where=drive, mend=mend)
+        fix = "What stands before and after belongs to two drives: sweeps and tracks across it are wrong."
+        yield Finding(severity="warn", topic="stamps", what=text, where=drive, fix=fix)
 
 
 def _stamp_offset(
@@ -308,16 +308,16 @@ def _offset_findings(name: str, step: StampOffset) -> Iterator[Finding]:
     sync = "`farfield sync` on the recording matches them anew."
     if step.apart:
         text = f"{name} shares no moment with its frames in {counted(step.apart, 'drive')}"
-        mend = f"Its clock is another one, or the wrong files were paired. {sync}"
-        yield Finding(severity="warn", topic="stamps", what=text, mend=mend)
+        fix = f"Its clock is another one, or the wrong files were paired. {sync}"
+        yield Finding(severity="warn", topic="stamps", what=text, fix=fix)
         return
     if step.elsewhere > 0.02 * step.frames:
         text = (
             f"{name} is out of step: in {step.elsewhere} of {step.frames} frames a neighbour's stamp is nearer; "
             f"typically {step.median_ms:+.1f} ms from its frame"
         )
-        yield Finding(severity="warn", topic="stamps", what=text, mend=f"It was not matched by nearness. {sync}")
+        yield Finding(severity="warn", topic="stamps", what=text, fix=f"It was not matched by nearness. {sync}")
     if step.period_ms and step.wander_ms > 0.25 * step.period_ms:
         text = f"{name} drifts: its distance from the frames changes by {step.wander_ms:.1f} ms within a drive"
-        mend = f"Their clocks run apart, or one of them runs freely. {sync}"
-        yield Finding(severity="warn", topic="stamps", what=text, mend=mend)
+        fix = f"Their clocks run apart, or one of them runs freely. {sync}"
+        yield Finding(severity="warn", topic="stamps", what=text, fix=fix)

@@ -82,8 +82,8 @@ def _modalities(
             what += f"; fewer than frames in {_listed(short)}"
         lacks = [name for name in names if name not in per]
         what += f"; missing in {_listed(lacks)}" if lacks else ""
-        mend = "Frames lack what their sequence lacks: download the rest or select() the others." if short else ""
-        yield Finding(severity="warn" if short else "ok", topic=topic, what=what, mend=mend)
+        fix = "Frames lack what their sequence lacks: download the rest or select() the others." if short else ""
+        yield Finding(severity="warn" if short else "ok", topic=topic, what=what, fix=fix)
 
 
 def _count(dataset: KRadar, product: str, sequence: str) -> int:
@@ -98,8 +98,8 @@ def _sequence_files(dataset: KRadar, names: Sequence[str], kradar_facts: dict[st
         try:
             shared[name] = dataset.of_sequence(name)
         except FarfieldError as error:
-            mend = "Mend or remove the file: no frame of the sequence can be read."
-            yield Finding(severity="fail", topic="damaged", what=str(error), where=f"sequence {name}", mend=mend)
+            fix = "Fix or remove the file: no frame of the sequence can be read."
+            yield Finding(severity="fail", topic="damaged", what=str(error), where=f"sequence {name}", fix=fix)
     sequences_with = {
         "description": [n for n, one in shared.items() if one.conditions_from == "description.txt"],
         "published conditions": [n for n, one in shared.items() if one.conditions_from == "published table"],
@@ -121,8 +121,8 @@ def _sequence_files(dataset: KRadar, names: Sequence[str], kradar_facts: dict[st
     described = set(sequences_with["description"]) | set(sequences_with["published conditions"])
     silent = [name for name in names if name not in described]
     if silent:
-        mend = "Scores by weather leave them out. Add description.txt: road,time,weather."
-        yield Finding(severity="warn", topic="conditions", what=f"unknown in {_listed(silent)}", mend=mend)
+        fix = "Scores by weather leave them out. Add description.txt: road,time,weather."
+        yield Finding(severity="warn", topic="conditions", what=f"unknown in {_listed(silent)}", fix=fix)
     lists = [part for part in ("train", "test") if (dataset.root / SPLIT_FOLDER / f"{part}.txt").is_file()]
     what = f"official lists {', '.join(lists)}" if lists else "no official lists: quarters are cut as they cut them"
     yield Finding(severity="ok", topic="splits", what=what)
@@ -150,18 +150,18 @@ def _versions(
         return
     used = ", ".join(f"{version} ({counted(number, 'frame')})" for version, number in read.most_common())
     mixed = len(read) > 1
-    mend = "Scores of different versions must not be mixed: give --labels or labels=." if mixed else ""
+    fix = "Scores of different versions must not be mixed: give --labels or labels=." if mixed else ""
     severity: Severity = "warn" if mixed else "ok"
-    yield Finding(severity=severity, topic="label versions", what=f"{shown}; read: {used}", mend=mend)
+    yield Finding(severity=severity, topic="label versions", what=f"{shown}; read: {used}", fix=fix)
 
 
 def _defects(table: LabelTable, kradar_facts: dict[str, Any]) -> Iterator[Finding]:
     kradar_facts["defects"] = dict(table.defects) | {"damaged": len(table.damaged)}
     for name, count in table.defects.items():
         if count:
-            mend = _LOOK_AT.get(name, "")
-            what = f"{count} {DEFECTS[name]}" + ("" if mend else "; read as they are meant")
-            yield Finding(severity="warn" if mend else "ok", topic="label defects", what=what, mend=mend)
+            fix = _LOOK_AT.get(name, "")
+            what = f"{count} {DEFECTS[name]}" + ("" if fix else "; read as they are meant")
+            yield Finding(severity="warn" if fix else "ok", topic="label defects", what=what, fix=fix)
     if not any(table.defects.values()):
         yield Finding(severity="ok", topic="label defects", what="none of those that K-Radar is known for")
 
@@ -177,8 +177,8 @@ def _published(dataset: KRadar, table: LabelTable, kradar_facts: dict[str, Any])
     expected = np.array([dataset.frame_difference(name) for name in table.sequence.tolist()])
     off = dict.fromkeys(table.sequence[stems[:, 0] - stems[:, 1] != expected].tolist())
     what = "the frames' names differ from it in " + _listed(off) if off else "radar minus LiDAR index is as calibrated"
-    mend = "Radar and LiDAR would not be of the same moment: check info_calib." if off else ""
-    yield Finding(severity="warn" if off else "ok", topic="frame difference", what=what, mend=mend)
+    fix = "Radar and LiDAR would not be of the same moment: check info_calib." if off else ""
+    yield Finding(severity="warn" if off else "ok", topic="frame difference", what=what, fix=fix)
 
 
 def _units(table: LabelTable, kradar_facts: dict[str, Any]) -> Iterator[Finding]:
@@ -192,14 +192,14 @@ def _units(table: LabelTable, kradar_facts: dict[str, Any]) -> Iterator[Finding]
     kradar_facts["median_sedan_length_m"] = round(length, 3)
     good = _SEDAN_LENGTH_M[0] <= length <= _SEDAN_LENGTH_M[1]
     what = f"half lengths: twice the median of Sedans is {length:.2f} m"
-    mend = "" if good else "The files seem to hold full lengths: halve them, as K-Radar does."
-    yield Finding(severity="ok" if good else "fail", topic="label units", what=what, mend=mend)
+    fix = "" if good else "The files seem to hold full lengths: halve them, as K-Radar does."
+    yield Finding(severity="ok" if good else "fail", topic="label units", what=what, fix=fix)
     most = float(np.abs(table.yaw_deg).max())
     kradar_facts["largest_yaw"] = round(most, 2)
     degrees = most > 2.1 * np.pi
     what = f"yaw is in degrees: the largest is {most:.1f}" if degrees else f"no yaw is beyond {most:.2f}: radians?"
-    mend = "" if degrees else "K-Radar writes degrees: multiply by 180 / pi."
-    yield Finding(severity="ok" if degrees else "fail", topic="label yaw", what=what, mend=mend)
+    fix = "" if degrees else "K-Radar writes degrees: multiply by 180 / pi."
+    yield Finding(severity="ok" if degrees else "fail", topic="label yaw", what=what, fix=fix)
     if degrees:
         yield _headings(table.yaw_deg[sedan], kradar_facts)
 
@@ -210,8 +210,8 @@ def _headings(yaw_deg: np.ndarray, kradar_facts: dict[str, Any]) -> Finding:
     kradar_facts["sedans_along_x"], kradar_facts["sedans_across_x"] = round(along, 3), round(across, 3)
     what = f"{along:.0%} of Sedans lie within {_ALONG_DEG:g} degrees of the vehicle's own axis, {across:.0%} across"
     turned = across > along
-    mend = "They seem to be turned by 90 degrees: length and width, or the axis of yaw, are mixed up." if turned else ""
-    return Finding(severity="fail" if turned else "ok", topic="label yaw", what=what, mend=mend)
+    fix = "They seem to be turned by 90 degrees: length and width, or the axis of yaw, are mixed up." if turned else ""
+    return Finding(severity="fail" if turned else "ok", topic="label yaw", what=what, fix=fix)
 
 
 def _share_of(having: Iterable[str], names: Sequence[str]) -> str:
@@ -280,10 +280,10 @@ def condition_findings(drives: Iterable[Drive], conditions: Mapping[str, Mapping
     for kind, lines in contradictions_by_kind.items():
         if lines:
             shown = "; ".join(lines[:5]) + (f"; and {len(lines) - 5} more" if len(lines) > 5 else "")
-            mend = (
+            fix = (
                 "Look at its pictures: the label or the clock is wrong." if kind == "time" else "Look at its pictures."
             )
-            yield Finding(severity="warn", topic=f"label of {kind}", what=shown, mend=mend)
+            yield Finding(severity="warn", topic=f"label of {kind}", what=shown, fix=fix)
 
 
 def _mean_speed(drive: Drive) -> float | None:

@@ -36,7 +36,7 @@ class Finding:
         topic: Short name, such as ``"size order"``.
         what: What was found.
         where: File or frame.
-        mend: How to mend it.
+        fix: How to fix it.
         absent: Whether it says no more than that something is not there, which nothing needs.
     """
 
@@ -44,7 +44,7 @@ class Finding:
     topic: str
     what: str
     where: str = ""
-    mend: str = ""
+    fix: str = ""
     absent: bool = False
 
 
@@ -81,7 +81,10 @@ class DoctorReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values: path, format, failed, facts, findings."""
-        findings = [asdict(finding) for finding in self.findings]
+        findings = [
+            {"mend" if name == "fix" else name: value for name, value in asdict(finding).items()}
+            for finding in self.findings
+        ]
         return {"path": self.path, "format": self.format, "failed": self.failed, "facts": self.facts} | {
             "findings": findings
         }
@@ -90,8 +93,8 @@ class DoctorReport:
         lines = [f"{self.path}: {self.format}"]
         for finding in self.present:
             where = f" [{finding.where}]" if finding.where else ""
-            mend = f"\n       mend: {finding.mend}" if finding.mend else ""
-            lines.append(f"{finding.severity:>5}  {finding.topic}: {finding.what}{where}{mend}")
+            fix = f"\n       fix: {finding.fix}" if finding.fix else ""
+            lines.append(f"{finding.severity:>5}  {finding.topic}: {finding.what}{where}{fix}")
         return "\n".join([*lines, *([f"not there: {', '.join(self.absent)}"] if self.absent else [])])
 
 

@@ -64,7 +64,7 @@ def _table(path: Path) -> dict[str, dict[str, str]]:
         header = [name.strip().lower() for name in next(rows, [])]
         if sorted(header) != sorted(_COLUMNS):
             expected = f"a header with the columns {', '.join(_COLUMNS)}"
-            raise FileFormatError(path, where="line 1", expected=expected, found=repr(",".join(header))[:100])
+            raise FileFormatError(path, where="line 1", expected=expected, got=repr(",".join(header))[:100])
         for row in rows:
             if not row:
                 continue
@@ -72,11 +72,11 @@ def _table(path: Path) -> dict[str, dict[str, str]]:
             name = cells.pop("sequence", "")
             if len(row) != len(header) or not all([name, *cells.values()]) or name in conditions:
                 expected = "four filled cells, each sequence once"
-                raise FileFormatError(path, where=f"line {rows.line_num}", expected=expected, found=repr(row)[:100])
+                raise FileFormatError(path, where=f"line {rows.line_num}", expected=expected, got=repr(row)[:100])
             conditions[name] = {kind: condition_name(word) for kind, word in cells.items()}
     except csv.Error as error:
         raise FileFormatError(
-            path, where=f"line {rows.line_num}", expected="comma-separated text", found=str(error)
+            path, where=f"line {rows.line_num}", expected="comma-separated text", got=str(error)
         ) from None
     return conditions
 
@@ -86,7 +86,7 @@ def _text(path: Path) -> str:
         return read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         value = f"byte 0x{error.object[error.start]:02x}"
-        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", found=value) from None
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", got=value) from None
 
 
 def group_conditions(conditions: Mapping[Key, Mapping[str, str]], kind: str) -> tuple[str, ...]:

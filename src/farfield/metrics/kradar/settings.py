@@ -197,7 +197,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 """Options of each ``kradar-compat`` variant.
 
-Four evaluators (``eval.py`` and ``eval_revised.py``, each as shipped and with the yaw mended), with the score cuts in
+Four evaluators (``eval.py`` and ``eval_revised.py``, each as shipped and with the yaw fixed), with the score cuts in
 use as ``@0.3``, and published results by the configuration that made them: RTNH on the narrow and the wide region, the
 LiDAR detectors on the wide one (SECOND, PV-RCNN++), and the fusion ASF.
 """

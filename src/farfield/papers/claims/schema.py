@@ -306,7 +306,7 @@ def read_declared(
         tree = yaml.safe_load(data.decode("utf-8"))
         document = model.model_validate({**tree, **changes} if changes else tree)
     except ValidationError as error:
-        raise FileFormatError(path, where="keys", expected=expected, found=plain(error)) from None
+        raise FileFormatError(path, where="keys", expected=expected, got=plain(error)) from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="YAML", found=plain(error)) from None
+        raise FileFormatError(path, where="the file", expected="YAML", got=plain(error)) from None
     return document, hashlib.sha256(data).hexdigest()

@@ -31,7 +31,7 @@ class CalibrationError(ConfigError):
     Args:
         code: A word for the page.
         sentence: Why.
-        mend: What to do.
+        fix: What to do.
     """
 
     def __init__(self, code: str, sentence: str, mend: str = "") -> None:

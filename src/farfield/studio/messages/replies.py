@@ -250,7 +250,7 @@ class PolicyIs:
 
 @message
 class Failure:
-    """Something went wrong: what, and how to mend it."""
+    """Something went wrong: what, and how to fix it."""
 
     op: Literal["error"] = "error"
     sentence: str

@@ -217,7 +217,7 @@ class BookmarkStore:
             return {(str(r["sequence"]), str(r["frame"])): (str(r["note"]), str(r["by"])) for r in rows}
         except (ValueError, KeyError, TypeError) as error:
             expected = "bookmarks"
-            raise FileFormatError(self.path, where="the file", expected=expected, found=plain(error)) from error
+            raise FileFormatError(self.path, where="the file", expected=expected, got=plain(error)) from error
 
     def set(self, frame: int, note: str | None, by: str) -> None:
         """Set the bookmark of a frame; None takes it away. Written at once."""
