@@ -6,7 +6,7 @@
 #   make test-browser  the studio's page in a browser; installs a Chromium if the system has none
 #   make docs          the documentation site, with an API reference; in an environment of its own (150 MB)
 #   make page          build the studio's page from web/ (needs node)
-#   make bench-NAME    run benchmarks/NAME.py
+#   make bench-NAME    run benchmarks/NAME.py and keep what it prints in benchmarks/results/NAME.txt
 #   make gpu-check     prove and measure what needs a GPU; ten minutes on one (docs/gpu.md)
 #
 # A machine with a GPU keeps its own torch:  make install TORCH=torch
@@ -102,10 +102,12 @@ test-core:
 	$(ONE_THREAD) $$venv/bin/python -m pytest -q -n $(WORKERS) -p no:cacheprovider $(SHAPES) $(PYTEST_FLAGS) tests
 
 bench: $(STAMP)
-	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+	@for script in benchmarks/[a-z]*.py; do echo "== $$script"; $(BIN)/python $$script; done
 
+# BENCH="PART --option"; see --help
+BENCH ?=
 bench-%: $(STAMP) benchmarks/%.py
-	@$(BIN)/python benchmarks/$*.py
+	@$(BIN)/python benchmarks/$*.py $(BENCH)
 
 # GPU_CHECK="--only speed copies --minutes 5"; see --help
 GPU_CHECK ?=

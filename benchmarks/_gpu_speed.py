@@ -1,5 +1,8 @@
-"""Milliseconds and memory from points to boxes, as one call or with a loader, and as the range grows."""
+"""Milliseconds and memory from points to boxes, with a loader too, and as the range grows; the radar's peaks."""
 
+import json
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -7,11 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import spconv.pytorch as spconv
 import torch
 from _gpu_common import (
     ABSENT,
+    FAILED,
     LIDAR,
     MEASURED,
+    OK,
     PRECISIONS,
     RADAR,
     Row,
@@ -23,15 +29,23 @@ from _gpu_common import (
     milliseconds,
     network_of,
     peak_mb,
+    radar_cloud,
     wait,
 )
+from _report import ROOT
+from sparse_convolution import BACKBONE, SHAPE, weights
 from torch import Tensor
 from torch.utils.data import DataLoader
 from torch.utils.data import Dataset as TorchDataset
 
 from farfield.detectors import DETECTORS, build_detector
+from farfield.detectors.devices import OutOfMemory, fitting
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.runtime import Detector, record_trunk
+from farfield.vocabulary.published_tables import KRADAR_TABLES
+
+# Milliseconds and memory from points to boxes, as one call or with a loader, and as the range grows.
+
 
 AIMS_MS = {"pointpillars": 4.0, "second": 10.0, "sparsecentre": 6.0}  # at 250 m x 100 m in half precision on an H100
 DENSE = ("pointpillars", "second", "voxelnet")  # a trunk of one shape whatever the points: what graphs need
@@ -198,7 +212,7 @@ def _spconv(site: Site) -> Callable[..., Any] | None:
         return None
     try:
         import spconv.pytorch  # noqa: F401
-        from _gpu_spconv import spconv_backbone
+        from _gpu_speed import spconv_backbone
     except Exception:
         return None
     return spconv_backbone
@@ -234,3 +248,129 @@ def _backbone(site: Site, theirs: Callable[..., Any] | None, dtype: str, size: s
     share = np.median(mine) / np.median(taken)
     words = f"{np.median(taken):.2f} ms; ours takes {share:.2f} of it; outputs differ by {gap:.0e}"
     yield Row(f"spconv, {what}", words, MEASURED, {"ms": float(np.median(taken)), "gap": gap, "ours_share": share})
+
+
+# Peak memory of the radar detectors beside the paper's, and what is said where memory is not enough.
+
+
+_ROWS = {"RTN-50": "rtn_resnet50", "RTN-X101": "rtn_resnext101"}
+_STATED_MB = {"RTNH": 421.0}  # not in Table 9: stated in the paper's text as it is cited; not checked against it
+_LITTLE_BYTES = 32e6  # beside what the network itself holds
+
+
+def radar(site: Site) -> Iterator[Row]:
+    """Peak memory of one frame."""
+    if not site.gpu:
+        yield site.needs_gpu("peak memory of the GPU", "below: of a process on the CPU")
+    yield from each(list(RADAR), partial(_radar, site))
+
+
+def paper_mb(name: str) -> float:
+    """Memory that K-Radar's paper states, MB: Table 9 for RTN."""
+    if name in _STATED_MB:
+        return _STATED_MB[name]
+    return float(KRADAR_TABLES["9"].figures[_ROWS[name]]["overall"]["memory_mb"])
+
+
+def _radar(site: Site, name: str) -> Iterator[Row]:
+    paper = paper_mb(name)
+    for precision in ("fp32", "bf16") if site.gpu else ("fp32",):
+        if site.gpu:
+            with peak_mb(site.device) as peak:
+                detector, cloud = detector_of(network_of(name), site.device, precision), radar_cloud(name)
+                for _ in range(3):
+                    detector(cloud)
+            mb, words = peak["mb"], "with its weights"
+        else:
+            mb, words = _process_mb(name, precision), "above what the process held before"
+        yield Row(
+            f"{name}, {precision}",
+            f"{mb:.0f} MB {words}; the paper {paper:.0f} MB",
+            MEASURED,
+            {"mb": mb, "paper_mb": paper, "gpu": site.gpu},
+        )
+
+
+def _process_mb(name: str, precision: str) -> float:
+    """Peak memory of a process that detects, less what it held before it had a network."""
+    script = str(ROOT / "benchmarks" / "radar_detector_speed.py")
+    command = [sys.executable, script, "--peak", RADAR[name], "--precision", precision, "--threads", "1"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    peak = json.loads(done.stdout.splitlines()[-1])
+    return float(peak["peak_mb"] - peak["before_mb"])
+
+
+def full(site: Site) -> Iterator[Row]:
+    """What a user reads where memory is not enough."""
+    if site.gpu:
+        detector, cloud = detector_of(network_of("second"), site.device, "fp32"), busy_cloud(site)
+        torch.cuda.empty_cache()
+        allowed = torch.cuda.memory_reserved() + _LITTLE_BYTES
+        torch.cuda.set_per_process_memory_fraction(allowed / torch.cuda.get_device_properties(0).total_memory)
+        try:
+            yield _said(lambda: detector(cloud))
+        finally:
+            torch.cuda.set_per_process_memory_fraction(1.0)
+        yield Row("the next frame with enough memory", f"{len(detector(cloud))} boxes", OK)
+        return
+    yield site.needs_gpu("a GPU that is full", "below: the machine's own memory")
+    yield _said(_too_much)
+
+
+def _too_much() -> None:
+    with fitting("Take less."):
+        torch.empty(2**60, dtype=torch.uint8)
+
+
+def _said(run: Callable[[], object]) -> Row:
+    what = "too much for the memory"
+    try:
+        run()
+    except OutOfMemory as error:
+        return Row(what, f"says: {str(error)[:110]}...", OK, {"said": str(error)})
+    except RuntimeError as error:
+        return Row(what, f"PyTorch's own error: {str(error)[:90]}", FAILED)
+    return Row(what, "it was enough: nothing was shown", FAILED)
+
+
+# SECOND's sparse backbone by spconv on a GPU, with the weights of sparse_convolution.py.
+
+
+def spconv_backbone(dtype: str, device: torch.device) -> Any:
+    """A function from features (n, 4) and keys (n,) to the features and keys that the backbone gives.
+
+    Args:
+        dtype: "float32", "float16" or "bfloat16".
+        device: The GPU.
+    """
+    layers = []
+    for layer, (kernel, bias) in zip(BACKBONE, weights(), strict=True):
+        submanifold = layer.stride is None
+        kind = spconv.SubMConv3d if submanifold else spconv.SparseConv3d
+        conv = kind(
+            layer.c_in,
+            layer.c_out,
+            layer.kernel,
+            stride=1 if submanifold else layer.stride,
+            padding=layer.padding,
+            bias=True,
+            indice_key=layer.book,
+        )
+        ordered = torch.from_numpy(kernel).view(*layer.kernel, layer.c_in, layer.c_out).permute(4, 0, 1, 2, 3)
+        with torch.no_grad():
+            conv.weight.copy_(ordered)
+            conv.bias.copy_(torch.from_numpy(bias))
+        layers.append(conv.to(device=device, dtype=getattr(torch, dtype)).eval())
+    return partial(_run, layers, getattr(torch, dtype))
+
+
+def _run(layers: list[Any], dtype: torch.dtype, features: Any, keys: Any) -> tuple[Any, Any]:
+    _, nx, ny = SHAPE
+    place = torch.stack([keys * 0, keys // (nx * ny), keys // ny % nx, keys % ny], 1)
+    sparse = spconv.SparseConvTensor(features.to(dtype), place.int().contiguous(), list(SHAPE), 1)
+    for conv in layers:
+        sparse = conv(sparse)
+        sparse = sparse.replace_feature(sparse.features.relu_())
+    place = sparse.indices.long()
+    _, nx, ny = sparse.spatial_shape
+    return sparse.features, (place[:, 1] * nx + place[:, 2]) * ny + place[:, 3]

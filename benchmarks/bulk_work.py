@@ -1,29 +1,19 @@
-"""Bulk work: equal bytes, CPU and speed-up of every verb, the cost of the mechanism, memory over many frames.
+"""Bulk work: equal bytes, CPU and speed-up of every verb, cost of the mechanism, memory; what evaluating takes."""
 
-    python benchmarks/bulk_work.py [--frames 24] [--many 2000] [--output benchmarks/results/bulk_work.txt]
-
-Every verb runs with one process and with two workers on the same simulated frames; the digests of all files that both
-left must be equal (what the clock measured stands in timing.json, apart). MB is the largest worker. Then the mechanism
-alone: 10,000 units of no work, and 35,000 finished units that a rerun finds intact. Then predict and evaluate over many
-frames with a small detector that gives as many boxes as it may: the largest memory of the command and of a worker. Exit
-status 1 if bytes differ, above 2 ms a unit, 5 s for the rerun, or where the command's memory over all frames passes
-that over a quarter of them by more than a tenth.
-"""
-
-import argparse
 import hashlib
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
-from _report import header
+from _report import Part, part_parser, run_parts
 
-from farfield.files.atomic import write_text
 from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run, values
 
 UNIT_MS, RERUN_S, GROWTH = 2.0, 5.0, 1.10
@@ -87,7 +77,7 @@ def digest(out: Path) -> tuple[str, int]:
 
 
 def verbs(data: Path, cached: Path, kradar: Path, frames: int) -> dict[str, tuple[list[str], str]]:
-    """Words of each verb, with OUT for what it writes, and what to compare."""
+    """The words of each verb, and where its files go."""
     few = f"--frames {frames} --sequences 4 --sensors gaussian,uniform"
     words = {
         "simulate (Cirrus)": f"simulate cirrus-sim OUT/a {few}",
@@ -105,7 +95,7 @@ def verbs(data: Path, cached: Path, kradar: Path, frames: int) -> dict[str, tupl
     return {name: (line.split(), str(cached) if "cache" in name else "OUT/a") for name, line in words.items()}
 
 
-def table(folder: Path, frames: int) -> tuple[list[str], bool]:
+def table(folder: Path, frames: int, only: Sequence[str] | None) -> bool:
     """CPU and speed-up of each verb, and whether both left the same bytes."""
     data, kradar = folder / "data", folder / "kradar"
     record = [sys.executable, "-m", "farfield.cli", "simulate"]
@@ -114,9 +104,11 @@ def table(folder: Path, frames: int) -> tuple[list[str], bool]:
     cubes = ["--frames", str(max(frames // 2, 6)), "--sensors", "os2-64,cube"]
     subprocess.run([*record, "kradar-sim-mini", str(kradar), *cubes], check=True, stdout=subprocess.DEVNULL)
     heads = f"{'verb':26} {'1: CPU s':>9} {'wall s':>7} {'2: CPU s':>9} {'wall s':>7} {'speed-up':>9} {'MB':>5}"
-    lines = [f"{heads}  files, digest"]
+    print(f"{heads}  files, digest", flush=True)
     equal = True
     for name, (words, compared) in verbs(data, data, kradar, frames).items():
+        if only is not None and name not in only:
+            continue
         costs, digests = [], []
         for workers in (1, 2):
             out = folder / f"{name.replace(' ', '-')}-{workers}"
@@ -130,8 +122,9 @@ def table(folder: Path, frames: int) -> tuple[list[str], bool]:
         equal &= same
         said = f"{digests[0][1]} {digests[0][0]}" if same else f"DIFFER: {digests}"
         numbers = f"{one.cpu_s:9.1f} {one.wall_s:7.1f} {two.cpu_s:9.1f} {two.wall_s:7.1f}"
-        lines.append(f"{name:26} {numbers} {one.wall_s / two.wall_s:9.2f} {two.worker_mb:5.0f}  {said}")
-    return lines, equal
+        print(f"{name:26} {numbers} {one.wall_s / two.wall_s:9.2f} {two.worker_mb:5.0f}  {said}", flush=True)
+    print("equal bytes" if equal else "BYTES DIFFER")
+    return equal
 
 
 def nothing(unit: Unit) -> UnitResult:
@@ -140,41 +133,41 @@ def nothing(unit: Unit) -> UnitResult:
     return UnitResult()
 
 
-def mechanism(folder: Path) -> tuple[list[str], bool]:
+def mechanism(folder: Path, many: int, finished: int) -> bool:
     """CPU of units without work, and of finding that nothing is left."""
     from bulk_work import nothing as work
 
-    lines, good = [], True
+    good = True
     for workers in (1, 2):
-        units = [Unit(str(number), parameters=number) for number in range(10_000)]
+        units = [Unit(str(number), parameters=number) for number in range(many)]
         began = cpu_seconds()
         count = sum(1 for _ in values(work, units, JobOptions(workers=workers)))
         ms = 1e3 * (cpu_seconds() - began) / count
         good &= ms <= UNIT_MS
-        lines.append(f"10,000 units of no work, {workers} worker(s): {ms:.3f} ms of CPU a unit (at most {UNIT_MS:g})")
+        print(f"{many:,} units of no work, {workers} worker(s): {ms:.3f} ms of CPU a unit (at most {UNIT_MS:g})")
         journal = JobJournal(folder / f"nothing-{workers}" / "journal.jsonl")
         began = cpu_seconds()
         run(work, units, JobOptions(workers=workers), journal=journal)
         ms = 1e3 * (cpu_seconds() - began) / count
         good &= ms <= UNIT_MS
-        lines.append(f"the same with a journal, {workers} worker(s): {ms:.3f} ms of CPU a unit (at most {UNIT_MS:g})")
+        print(f"the same with a journal, {workers} worker(s): {ms:.3f} ms of CPU a unit (at most {UNIT_MS:g})")
     sources, out = folder / "sources", folder / "finished"
     sources.mkdir()
     out.mkdir()
     units = []
-    for number in range(35_000):
+    for number in range(finished):
         (sources / f"{number}.in").write_bytes(b"in")
         units.append(Unit(f"{number:06d}", (sources / f"{number}.in",), out))
     run(written, units, JobOptions(), journal=JobJournal(out / "journal.jsonl", "s"))
     began = cpu_seconds()
     again = run(written, units, JobOptions(), journal=JobJournal(out / "journal.jsonl", "s"))
     seconds = cpu_seconds() - began
-    good &= seconds <= RERUN_S and (again.written, again.skipped) == (0, 35_000)
-    lines.append(
-        f"35,000 finished units, each of one source and one file: a rerun finds {again.written} left in "
+    good &= seconds <= RERUN_S and (again.written, again.skipped) == (0, finished)
+    print(
+        f"{finished:,} finished units, each of one source and one file: a rerun finds {again.written} left in "
         f"{seconds:.2f} s of CPU (at most {RERUN_S:g})"
     )
-    return lines, good
+    return good
 
 
 def written(unit: Unit) -> UnitResult:
@@ -190,9 +183,9 @@ def cpu_seconds() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
-def memory(folder: Path, many: int) -> tuple[list[str], bool]:
+def memory(folder: Path, many: int, only: Sequence[str]) -> bool:
     """Memory of predict and evaluate over more and more frames."""
-    lines = [f"{'frames':>7} {'verb':9} {'command MB':>11} {'worker MB':>10} {'wall s':>7}"]
+    print(f"{'frames':>7} {'verb':9} {'command MB':>11} {'worker MB':>10} {'wall s':>7}", flush=True)
     base = folder / "base"
     command = [sys.executable, "-m", "farfield.cli"]
     subprocess.run(
@@ -207,18 +200,22 @@ def memory(folder: Path, many: int) -> tuple[list[str], bool]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    subprocess.run([*command, "convert", str(base), str(folder / "kitti"), "--to", "kitti"], check=True)
+    subprocess.run(
+        [*command, "convert", str(base), str(folder / "kitti"), "--to", "kitti"], check=True, stdout=subprocess.DEVNULL
+    )
     largest: dict[str, list[float]] = {}
     for count in (many // 4, many // 2, many):
         data = repeated(folder / "kitti", folder / f"many-{count}", count)
         for verb, rest in (("predict", ["--out", f"{data}.csv"]), ("evaluate", ["--out", f"{data}-evaluation"])):
+            if verb not in only:
+                continue
             more = ["--replicates", "20"] if verb == "evaluate" else ["--score-threshold", "0"]
             cost = measured([verb, str(folder / "runs" / "tiny"), str(data), *rest, *more, "--workers", "2"])
             largest.setdefault(verb, []).append(cost.command_mb)
-            lines.append(f"{count:7} {verb:9} {cost.command_mb:11.0f} {cost.worker_mb:10.0f} {cost.wall_s:7.0f}")
+            print(f"{count:7} {verb:9} {cost.command_mb:11.0f} {cost.worker_mb:10.0f} {cost.wall_s:7.0f}", flush=True)
     grown = {verb: 1e3 * (sizes[-1] - sizes[0]) / (many - many // 4) for verb, sizes in largest.items()}
-    lines += [f"{verb}: {kb:.0f} kB a frame" for verb, kb in grown.items()]
-    return lines, all(sizes[-1] <= GROWTH * sizes[0] for sizes in largest.values())
+    print("\n".join(f"{verb}: {kb:.0f} kB a frame" for verb, kb in grown.items()))
+    return all(sizes[-1] <= GROWTH * sizes[0] for sizes in largest.values())
 
 
 def repeated(source: Path, target: Path, count: int) -> Path:
@@ -234,33 +231,124 @@ def repeated(source: Path, target: Path, count: int) -> Path:
     return target
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def run_verbs(arguments: Sequence[str]) -> int:
+    """Every verb with one process and with two workers on the same simulated frames.
+
+        python benchmarks/bulk_work.py verbs [--frames 24] [--only VERB ...]
+
+    The digests of all files that both left must be equal (what the clock measured stands in timing.json, apart). MB is
+    the largest worker. Exit status 1 if bytes differ.
+    """
+    parser = part_parser(run_verbs.__doc__)
     parser.add_argument("--frames", type=int, default=24)
+    parser.add_argument("--only", nargs="+", help="names of the table's first column")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        return int(not table(Path(folder), options.frames, options.only))
+
+
+def run_mechanism(arguments: Sequence[str]) -> int:
+    """The mechanism alone: 10,000 units of no work, and 35,000 finished units that a rerun finds intact.
+
+        python benchmarks/bulk_work.py mechanism [--units 10000] [--finished 35000]
+
+    Exit status 1 above 2 ms a unit, or 5 s for the rerun.
+    """
+    parser = part_parser(run_mechanism.__doc__)
+    parser.add_argument("--units", type=int, default=10_000)
+    parser.add_argument("--finished", type=int, default=35_000)
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        return int(not mechanism(Path(folder), options.units, options.finished))
+
+
+def run_memory(arguments: Sequence[str]) -> int:
+    """Memory of predict and evaluate over many frames, with a small detector that gives as many boxes as it may.
+
+        python benchmarks/bulk_work.py memory [--many 2000] [--only predict]
+
+    Exit status 1 where the command's memory over all frames passes that over a quarter of them by more than a tenth.
+    """
+    parser = part_parser(run_memory.__doc__)
     parser.add_argument("--many", type=int, default=2000)
-    parser.add_argument("--parts", default="verbs,mechanism,memory")
-    parser.add_argument("--output", type=Path)
-    options = parser.parse_args()
-    parts = options.parts.split(",")
-    lines, good = [header(), ""], True
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for part, made in (
-            ("verbs", lambda: table(folder, options.frames)),
-            ("mechanism", lambda: mechanism(folder)),
-            ("memory", lambda: memory(folder, options.many)),
-        ):
-            if part in parts:
-                more, held = made()
-                print("\n".join(more), flush=True)
-                lines += [*more, ""]
-                good &= held
-    lines.append("all held" if good else "NOT ALL HELD")
-    print(lines[-1])
-    if options.output:
-        write_text(options.output, "\n".join(lines) + "\n")
-    return 0 if good else 1
+    parser.add_argument("--only", nargs="+", default=["predict", "evaluate"])
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        return int(not memory(Path(folder), options.many, options.only))
+
+
+DETECTING = """
+import sys, time
+from farfield.api import load_detector, open_dataset
+detector, data, clouds = load_detector(sys.argv[1], device="cpu"), open_dataset(sys.argv[2]), sys.argv[3].split(",")
+spent = 0.0
+for frame in data:
+    for cloud in clouds:
+        frame.cloud(cloud)
+        began = time.process_time()
+        detector.with_cloud(cloud)(frame)
+        spent += time.process_time() - began
+print(f"{len(data)} {spent}")
+"""
+
+
+def cpu_s(command: list[str]) -> tuple[float, str]:
+    """CPU seconds of a command with all its processes, and what it prints."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stdout
+
+
+def recorded(folder: Path, frames: int) -> Path:
+    """Simulated frames in two patterns."""
+    command = [sys.executable, "-m", "farfield.cli", "simulate", "cirrus-sim", str(folder), "--frames", str(frames)]
+    subprocess.run([*command, "--sensors", "gaussian,uniform"], check=True, stdout=subprocess.DEVNULL)
+    return folder
+
+
+def run_evaluate(arguments: Sequence[str]) -> None:
+    """CPU seconds of ``farfield evaluate`` with and without its page, beside the detector's own.
+
+        python benchmarks/bulk_work.py evaluate [DATA ...] [--detector NAME] [--clouds NAMES] [--without FLAGS]
+
+    Without DATA 12 and 200 frames are simulated. Each run is a process of its own, its workers' time included; wall
+    time says little on a machine that others use too. ``--without`` are the flags that leave the page out, so
+    that a version without ``--no-report`` can be timed as well: ``--without=--shown-frames=0``.
+    "once more" is the same command again: nothing is detected anew.
+    """
+    parser = part_parser(run_evaluate.__doc__)
+    parser.add_argument("data", type=Path, nargs="*")
+    parser.add_argument("--frames", type=int, nargs="+", default=[12, 200], help="to simulate")
+    parser.add_argument("--detector", default="pointpillars-cirrus-sim")
+    parser.add_argument("--clouds", default="gaussian,uniform")
+    parser.add_argument("--without", default="--no-report")
+    options = parser.parse_args(arguments)
+    print("CPU seconds of all processes\n")
+    heads = f"{'detector alone':>15} {'with page':>10} {'without':>8} {'once more':>10}"
+    print(f"{'frames':>6} {'clouds':>18} {heads}  wall s")
+    with tempfile.TemporaryDirectory() as folder:
+        for data in options.data or [recorded(Path(folder) / f"d{frames}", frames) for frames in options.frames]:
+            given = [options.detector, str(data), options.clouds]
+            frames, alone = cpu_s([sys.executable, "-c", DETECTING, *given])[1].split()
+            spent, began = [], time.monotonic()
+            base = [sys.executable, "-m", "farfield.cli", "evaluate", *given[:2], "--clouds", options.clouds]
+            for flags, out in (([], "a"), ([options.without], "b"), ([], "a")):
+                spent.append(cpu_s([*base, "--device", "cpu", "--out", f"{folder}/{data.name}-{out}", *flags])[0])
+            wall = time.monotonic() - began
+            cells = " ".join([f"{spent[0]:10.1f}", f"{spent[1]:8.1f}", f"{spent[2]:10.1f}"])
+            print(f"{frames:>6} {options.clouds:>18} {float(alone):15.1f} {cells} {wall:7.0f}", flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "verbs": Part(run_verbs, "--frames 6 --only 'convert --to boxes-csv'", exact=True),
+                "mechanism": Part(run_mechanism, "--units 50 --finished 100"),
+                "memory": Part(run_memory, "--many 4 --only predict"),
+                "evaluate": Part(run_evaluate, "--frames 1 --clouds gaussian"),
+            },
+        )
+    )

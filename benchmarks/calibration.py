@@ -1,26 +1,23 @@
-"""Calibrations of cameras and of a second LiDAR from random starts against the simulator's truth.
-
-Simulates K-Radar's car on three roads by day and one by night, four runs of ten frames each, pictures in
-twenty of them. They stay in --data, as does every start that is done: a second run goes on where the first ended, and
-the table says how many starts each row has, and the CPU time of one. Every solver starts from random errors; the starts
-of a road share its drive, so that their errors are not independent. ``radar_calibration.py`` measures the radar's.
-
-    python benchmarks/calibration.py --data data/calibration --output benchmarks/results/calibration.txt
-"""
+"""Calibration of cameras and of a second LiDAR against the simulator's truth, by boards, and on real frames."""
 
 import argparse
 import json
+import tempfile
 import time
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import header, progress
+from _board_rendering import board_poses, render_board
+from _report import SHARED_REAL, MissingError, Part, part_parser, progress, run_parts
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from farfield.calibration.boards import Board, calibrate_board, find_board
 from farfield.calibration.camera_edges import (
     EdgeResiduals,
     EdgeViews,
@@ -32,13 +29,23 @@ from farfield.calibration.camera_edges import (
     move_camera,
 )
 from farfield.calibration.camera_pairs import calibrate_pairs
-from farfield.calibration.depth_edges import sweep_edges
+from farfield.calibration.checking import check_camera
+from farfield.calibration.depth_edges import lidar_edges, sweep_edges
 from farfield.calibration.lidar_lidar import register
+from farfield.calibration.radar_features import read_sensor_pairs
+from farfield.calibration.radar_lidar import calibrate_radar
+from farfield.calibration.radar_matching import RadarEvidence, RadarPose
 from farfield.datasets import open_dataset
 from farfield.datasets.base import Dataset
+from farfield.datasets.kradar.labels import annotation_of, read_labels
+from farfield.datasets.kradar.texts import read_camera
 from farfield.datasets.kradar.writer import KRadarWriter
+from farfield.errors import DatasetError
+from farfield.figures.camera import boxes_picture
 from farfield.files.atomic import write_text
-from farfield.frame import Frame
+from farfield.files.images import read_image, write_image
+from farfield.frame import Boxes, Frame
+from farfield.frame.cloud import read_cloud
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, pose
 from farfield.simulation import find_preset, simulate_frame
@@ -51,12 +58,12 @@ CAMERA_FRAMES = 20
 PAIRED_FRAMES, PAIRED_DRAWS = 10, 100
 
 
-def simulated(folder: Path, road: str, light: str, sequence: int) -> Dataset:
+def simulated(folder: Path, road: str, light: str, sequence: int, frames: int | None) -> Dataset:
     """A K-Radar of one sequence."""
     preset = find_preset("kradar-sim", road=road, time=light, weather="normal", duration_s=30.0)
     writer = KRadarWriter(folder / f"{road}-{light}")
     there = {int(path.stem.split("_")[1]) - 1 for path in writer.root.glob("*/frame_record/*.json")}  # sweeps from 1
-    absent = [index for index in FRAMES if index not in there]
+    absent = [index for index in FRAMES[:frames] if index not in there]
     for index in progress(absent, f"simulating {road} {light}"):
         sensors = ("os2-64", *(("cam-front",) if index in PICTURED else ()))
         sensors += ("os1-128",) if index in (30, 160) else ()
@@ -234,12 +241,21 @@ def lidars_row(open_road: Callable[[], Dataset], starts: int) -> str:
     return f"{starts:3d} starts: at most {angle:.4f} degrees, {cm:.2f} cm; {np.mean(seconds):.1f} s"
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def run_cameras(arguments: Sequence[str]) -> None:
+    """Calibrations of cameras and of a second LiDAR from random starts against the simulator's truth.
+
+    Simulates K-Radar's car on three roads by day and one by night, four runs of ten frames each, pictures in twenty of
+    them. They stay in --data, as does every start that is done: a second run goes on where the first ended, and the
+    table says how many starts each row has, and the CPU time of one. Every solver starts from random errors; the starts
+    of a road share its drive, so that their errors are not independent. ``calibration_checks.py`` measures the radar's.
+
+        python benchmarks/calibration.py cameras --data data/calibration
+    """
+    parser = part_parser(run_cameras.__doc__)
     parser.add_argument("--data", type=Path, default=Path("data/calibration"))
-    parser.add_argument("--output", type=Path)
     parser.add_argument("--starts", type=int, default=30)
+    parser.add_argument("--frames", type=int, help="of a road, the first so many")
+    parser.add_argument("--draws", type=int, default=PAIRED_DRAWS, help="of picked pairs")
     parser.add_argument("--roads", nargs="+", default=[f"{road} {light}" for road, light, _ in ROADS])
     parser.add_argument(
         "--seconds",
@@ -247,22 +263,18 @@ def main() -> None:
         default=np.inf,
         help="for each row, after which no start begins; 0 prints what is there",
     )
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     sets = {
-        (road, light): partial(simulated, options.data, road, light, number)
+        (road, light): partial(simulated, options.data, road, light, number, options.frames)
         for road, light, number in ROADS
         if f"{road} {light}" in options.roads
     }
-    lines = [
-        header(),
-        f"at most {options.starts} starts a road; {len(FRAMES)} frames a road, a drive each",
-    ]
-    print("\n".join(lines), flush=True)
+    print(
+        f"at most {options.starts} starts a road; {len(FRAMES[: options.frames])} frames a road, a drive each",
+        flush=True,
+    )
     for line in _tables(sets, options):
         print(line, flush=True)
-        lines.append(line)
-        if options.output:
-            options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _tables(sets: dict[tuple[str, str], Callable[[], Dataset]], options: argparse.Namespace) -> Iterator[str]:
@@ -270,7 +282,9 @@ def _tables(sets: dict[tuple[str, str], Callable[[], Dataset]], options: argpars
     kept = Kept(options.data / "rows.json")
     yield f"Picked pairs in one of {PAIRED_FRAMES} frames, 2 px of noise, from nothing; least: the Cramer-Rao bound"
     yield from kept.rows(
-        "pairs", "urban day", partial(pairs_row, partial(simulated, options.data, *ROADS[0]), PAIRED_DRAWS)
+        "pairs",
+        "urban day",
+        partial(pairs_row, partial(simulated, options.data, *ROADS[0], options.frames), options.draws),
     )
     if options.starts:
         yield "\nos1-128 against os2-64 from +-1 degree, +-0.2 m, two frames"
@@ -309,5 +323,285 @@ class Kept:
         return [f"{road:<15} {row}" for row in known[name]]
 
 
+LENSES = {
+    "ZED 2i (K-Radar)": (567.7, 577.2, 628.7, 369.3, 1280, 720, (-0.0289, 0.0006, 0.0040, -0.0050, 0.0)),
+    "1920 x 650 (Cirrus)": (1050.0, 1050.0, 962.0, 318.0, 1920, 650, (-0.30, 0.10, 0.0005, -0.0003, 0.0)),
+    "barrel, k3": (420.0, 421.0, 318.0, 241.0, 640, 480, (-0.28, 0.09, 0.0004, -0.0006, -0.012)),
+}
+
+
+def camera_of(values: tuple) -> Camera:
+    """A camera of the table."""
+    fx, fy, cx, cy, width, height, distortion = values
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    return Camera(matrix=matrix, distortion=np.array(distortion), width_px=width, height_px=height)
+
+
+def corner_error_px(found: Camera, truth: Camera) -> float:
+    """Largest distance in the four corners between both cameras' pixels of one ray, after the best turn.
+
+    A shifted principal point and a turned camera are the same to a first order, and extrinsics take it up.
+    """
+    u, v = np.meshgrid(np.linspace(0, truth.width_px - 1, 9), np.linspace(0, truth.height_px - 1, 9))
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    rays = truth.rays(pixels)
+
+    left = least_squares(residuals, np.zeros(3), args=(found, rays, pixels)).fun.reshape(9, 9, 2)
+    return float(np.linalg.norm(left[[0, 0, -1, -1], [0, -1, 0, -1]], axis=1).max())
+
+
+def residuals(turn: np.ndarray, camera: Camera, rays: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Pixels of turned rays less those of the truth."""
+    return np.nan_to_num(camera.project(rays @ Rotation.from_rotvec(turn).as_matrix().T)[0] - pixels, nan=99.0).ravel()
+
+
+def row(truth: Camera, board: Board, pictures: int, seed: int) -> str:
+    """One lens and one board."""
+    rng, began = np.random.default_rng(seed), time.process_time()
+    poses = board_poses(truth, board, pictures, rng)
+    seen = [find_board(render_board(truth, at, board, rng=rng), board, str(i)) for i, at in enumerate(poses)]
+    found = calibrate_board([each for each in seen if each is not None], board)
+    focal = np.abs(np.diag(found.camera.matrix)[:2] / np.diag(truth.matrix)[:2] - 1).max()
+    return (
+        f"{len(found.used):3d}/{pictures:<3d} {focal:8.3%} {found.sigma[0] / truth.matrix[0, 0]:8.3%} "
+        f"{corner_error_px(found.camera, truth):9.2f} {np.median(found.error_px):7.2f} {found.covered:8.0%} "
+        f"{time.process_time() - began:6.1f}"
+    )
+
+
+def run_board(arguments: Sequence[str]) -> None:
+    """Intrinsics and distortion from rendered pictures of a chessboard and a ChArUco board, whose truth is known.
+
+    python benchmarks/calibration.py board [--pictures 20]
+    """
+    parser = part_parser(run_board.__doc__)
+    parser.add_argument("--pictures", type=int, default=20)
+    parser.add_argument("--lenses", type=int, default=len(LENSES), help="the first so many")
+    options = parser.parse_args(arguments)
+    print("Rendered pictures: blur 0.5 px, noise 2 grey values, light that falls off")
+    print("lens                 board       seen     focal    sigma corner px  rms px  covered  CPU s", flush=True)
+    for name, values in progress(list(LENSES.items())[: options.lenses], "lenses"):
+        for markers in (False, True):
+            text = row(camera_of(values), Board(markers=markers), options.pictures, seed=1)
+            print(f"{name:<20} {'ChArUco' if markers else 'chessboard':<10} {text}", flush=True)
+
+
+# Real frames.
+
+
+ERRORS = ((0.5, 0.05), (1.0, 0.10), (2.0, 0.10))  # degrees about, and metres along, each axis, at most
+SETS = ("kitti", "kitti_more", "view_of_delft", "pcd", "kradar")
+KRADAR_SEQUENCE = 11  # of the example picture: the time stamp of its label says so
+HEAD = (
+    "set                    frames from              deg before  after  worst | cm before  after  worst |"
+    " px before  after  worst  CPU s"
+)
+
+
+_YAW, _ASIDE = np.array([0, np.radians(1.0), 0, 0, 0, 0]), np.array([0, 0, 0, 0.2, 0, 0])
+
+
+def aligned(
+    name: str, camera: Camera, pictures: Sequence[np.ndarray], clouds: Sequence[np.ndarray], starts: int
+) -> Iterator[tuple[str, Camera, Camera]]:
+    """Rows of one set: largest angle, largest shift and median pixel error over random starts; a start and its end."""
+    edges = [lidar_edges(points) for points in clouds]
+    near = np.concatenate([points[::20] for points in clouds]).astype(np.float64)
+    near = near[camera.project(near)[2] & (np.linalg.norm(near, axis=1) < 50)]
+    there = camera.project(near)[0]
+    for degrees, metres in ERRORS:
+        rng, rows, began = np.random.default_rng(0), [], time.process_time()
+        for _ in range(starts):
+            delta = np.concatenate([np.radians(rng.uniform(-degrees, degrees, 3)), rng.uniform(-metres, metres, 3)])
+            start = move_camera(camera, delta)
+            views = edge_views(pictures, edges, start, margin_px=100)
+            sigma = (*(np.radians(degrees),) * 3, *(metres,) * 3)
+            found = align_edges(start, views, sigma=sigma)
+            rows.append([_off(each, camera, near, there) for each in (start, found)])
+        before, after = np.array(rows).transpose(1, 0, 2)
+        cells = [
+            f"{np.median(b):9.2f} {np.median(a):6.2f} {a.max():6.2f}" for b, a in zip(before.T, after.T, strict=True)
+        ]
+        text = f"{name:<22} {len(clouds):6d} {degrees:.1f} deg {100 * metres:3.0f} cm  " + " |  ".join(cells)
+        yield f"{text} {(time.process_time() - began) / starts:6.1f}", start, found
+    views = edge_views(pictures, edges, camera, margin_px=100)
+    if len(clouds) < 2:
+        yield "  one frame alone: no sigma", camera, camera
+        return
+    sigma, notes = edge_uncertainty(align_edges(camera, views), views)
+    told = ", ".join(f"{s:.2f}" for s in np.degrees(sigma[:3])), ", ".join(f"{100 * s:.0f}" for s in sigma[3:])
+    yield f"  sigma (pitch, yaw, roll) {told[0]} deg, (x, y, z) {told[1]} cm", camera, camera
+    for note in notes or ("all six are observed",):
+        yield f"  {note}", camera, camera
+    own = _off(align_edges(camera, views), camera, near, there)
+    yield f"  begun at the published one: {own[0]:.2f} deg, {own[1]:.1f} cm, {own[2]:.1f} px away", camera, camera
+    for what, delta in (("published", np.zeros(6)), ("turned by 1 deg", _YAW), ("shifted by 20 cm", _ASIDE)):
+        check = check_camera(move_camera(camera, delta), views)
+        yield (
+            f"  the doctor on the {what}: {check.verdict} ({check.px:.1f} px, {check.evidence:.1f} errors)",
+            camera,
+            camera,
+        )
+
+
+def _off(found: Camera, truth: Camera, points_m: np.ndarray, pixels: np.ndarray) -> tuple[float, float, float]:
+    error = np.abs(camera_difference(found, truth))
+    away = np.linalg.norm(replace(found, width_px=0, height_px=0).project(points_m)[0] - pixels, axis=1)
+    return float(np.degrees(error[:3].max())), 100 * float(error[3:].max()), float(np.nanmedian(away))
+
+
+def alike(folders: Sequence[Path], form: str) -> list[Frame]:
+    """Frames with the picture and calibration that most of the folders' frames share."""
+    frames = [frame for folder in folders for frame in open_dataset(folder, format=form)]
+    frames = [each for each in frames if "camera" in each.images and "camera" in each.cameras]
+    marks = [np.round(each.cameras["camera"].camera_T_lidar, 6).tobytes() for each in frames]
+    usual = max(marks, key=marks.count)
+    found = [each for each, mark in zip(frames, marks, strict=True) if mark == usual]
+    sizes = [each.images["camera"].shape for each in found]
+    size = max(sizes, key=sizes.count)
+    return [each for each, own in zip(found, sizes, strict=True) if own == size]
+
+
+def of_frames(name: str, frames: Sequence[Frame], starts: int, folder: Path | None) -> Iterator[str]:
+    """Rows of a data set's frames, and the first frame before and after from the second kind of start."""
+    camera, clouds = frames[0].cameras["camera"], [each.clouds["lidar"].points_m for each in frames]
+    pictures = [each.images["camera"] for each in frames]
+    yield f"  frames {', '.join(each.frame_id for each in frames)}"
+    for number, (text, start, found) in enumerate(aligned(name, camera, pictures, clouds, starts)):
+        yield text
+        if number == 1 and folder is not None:
+            boxes = frames[0].boxes
+            pair = [boxes_picture(pictures[0], each, boxes, clouds[0].astype(float)) for each in (start, found)]
+            write_image(folder / f"{name.split()[0].lower()}.png", np.concatenate(pair))
+
+
+def pair(starts: int, folder: Path | None) -> Iterator[str]:
+    """The pair of PJLab's SensorsCalibration."""
+    place = SHARED_REAL / "pcd" / "lidar2camera"
+    inner = json.loads((place / "center_camera-intrinsic.json").read_text())["center_camera-intrinsic"]["param"]
+    outer = json.loads((place / "top_center_lidar-to-center_camera-extrinsic.json").read_text())
+    pose = np.array(outer["top_center_lidar-to-center_camera-extrinsic"]["param"]["sensor_calib"]["data"])
+    bent = np.ravel(inner["cam_dist"]["data"])[:5]
+    picture, cloud = read_image(place / "0.png"), read_cloud(place / "0.pcd")
+    camera = Camera(
+        matrix=np.array(inner["cam_K"]["data"], dtype=float),
+        distortion=np.pad(bent, (0, 5 - len(bent))).astype(float),
+        camera_T_lidar=pose,
+        width_px=picture.shape[1],
+        height_px=picture.shape[0],
+    )
+    points = cloud.points_m.astype(np.float64)
+    for number, (text, start, found) in enumerate(aligned("lidar2camera pair", camera, [picture], [points], starts)):
+        yield text
+        if number == 1 and folder is not None:
+            drawn = [boxes_picture(picture, each, Boxes.empty(), points) for each in (start, found)]
+            write_image(folder / "pair.png", np.concatenate(drawn))
+
+
+def kradar_example(folder: Path | None) -> Iterator[str]:
+    """Boxes of the example label on the example picture, by both releases of its sequence's calibration."""
+    place = SHARED_REAL / "kradar"
+    picture = read_image(place / "example" / "img_example.png")
+    boxes = annotation_of(read_labels(place / "example" / "label_example.txt"), "v1.0").boxes
+    drawn, picture = [], picture[:, : picture.shape[1] // 2]  # both eyes side by side: the left one
+    for release in ("calib_seq", "calib_seq_v2"):
+        with tempfile.TemporaryDirectory() as scratch, zipfile.ZipFile(place / f"{release}.zip") as archive:
+            name = next(n for n in archive.namelist() if n.endswith(f"seq_{KRADAR_SEQUENCE:02d}/cam_1.yml"))
+            (Path(scratch) / "cam_1.yml").write_bytes(archive.read(name))
+            camera = read_camera(Path(scratch) / "cam_1.yml")
+        height, width = picture.shape[:2]
+        seen = camera.project(boxes.centre_m)
+        yield f"  {release}: {int(seen[2].sum())} of {len(boxes)} centres in the picture of {width} x {height}: " + (
+            ", ".join(f"({u:.0f}, {v:.0f})" for u, v in seen[0][seen[2]])
+        )
+        drawn.append(boxes_picture(picture, camera, boxes))
+    if folder is not None:
+        write_image(folder / "kradar.png", np.concatenate(drawn))
+
+
+def radar(frames: Sequence[Frame], starts: int) -> Iterator[str]:
+    """View-of-Delft's radar against its LiDAR: x, y and yaw from +-0.5 m and +-1 degree."""
+    sensor = frames[0].sensors["radar"].frame_T_sensor
+    moments = [replace(each, number=100 * i) for i, each in enumerate(read_sensor_pairs(frames, lidar="lidar"))]
+    evidence, truth = RadarEvidence.of(moments), invert(sensor)
+    yaw = float(np.arctan2(truth[1, 0], truth[0, 0]))
+    tilt = np.degrees(np.arccos(np.clip(truth[2, 2], -1, 1)))
+    yield f"  published: x {truth[0, 3]:.2f}, y {truth[1, 3]:.2f}, z {truth[2, 3]:.2f} m,"
+    counts = ", ".join(str(len(each.echoes_m)) for each in moments)
+    yield f"  yaw {np.degrees(yaw):.2f}, tilt {tilt:.2f} deg; {counts} strong echoes a frame"
+    rng, notes = np.random.default_rng(0), ("two frames do not tell x, y, yaw or the time offset; z is not solved",)
+    for number in range(starts):
+        x, y = truth[:2, 3] + (rng.uniform(-0.5, 0.5, 2) if number else 0.0)
+        turn = yaw + (float(np.radians(rng.uniform(-1, 1))) if number else 0.0)
+        guess = RadarPose(x_m=float(x), y_m=float(y), z_m=float(truth[2, 3]), yaw_rad=turn)
+        try:
+            found = calibrate_radar(evidence, guess, reach_m=1.0, frames=0)
+        except DatasetError as error:
+            yield f"  from ({x - truth[0, 3]:+.2f}, {y - truth[1, 3]:+.2f}) m: {error}"
+            continue
+        notes = found.notes
+        away = 100 * (found.pose.x_m - truth[0, 3]), 100 * (found.pose.y_m - truth[1, 3])
+        angle, sigma = np.degrees(found.pose.yaw_rad - yaw), found.solution.sigma
+        yield (
+            f"  from ({100 * (x - truth[0, 3]):+4.0f}, {100 * (y - truth[1, 3]):+4.0f}) cm, "
+            f"{np.degrees(turn - yaw):+.2f} deg to x {away[0]:+.0f} +- {100 * sigma[0]:.0f} cm, y {away[1]:+.0f} +- "
+            f"{100 * sigma[1]:.0f} cm, yaw {angle:+.2f} +- {np.degrees(sigma[2]):.2f} deg; "
+            f"{found.residual['matches']:.0f} matches"
+        )
+    yield from (f"  {note}" for note in notes)
+
+
+def lines(starts: int, folder: Path | None, sets: Sequence[str]) -> Iterator[str]:
+    """All tables, as they become known."""
+    kitti = [each for name in ("kitti", "kitti_more") if name in sets and (each := SHARED_REAL / name).is_dir()]
+    delft = SHARED_REAL / "view_of_delft"
+    delft_here = "view_of_delft" in sets and delft.is_dir()
+    yield f"\nLiDAR-camera by edges, {starts} starts; medians, worst of the starts; largest of three angles and shifts"
+    yield HEAD
+    if kitti:
+        yield from of_frames("KITTI (09_26)", alike(kitti, "kitti"), starts, folder)
+    if delft_here:
+        frames = list(open_dataset(delft))
+        yield from of_frames("View-of-Delft", frames, starts, folder)
+    if "pcd" in sets and (SHARED_REAL / "pcd" / "lidar2camera").is_dir():
+        yield from pair(starts, folder)
+    if "kradar" in sets and (SHARED_REAL / "kradar" / "example").is_dir():
+        yield f"\nK-Radar's example picture with its label's boxes, sequence {KRADAR_SEQUENCE}"
+        yield from kradar_example(folder)
+    if delft_here:
+        yield "\nView-of-Delft's radar against its LiDAR, two frames of two drives"
+        yield from radar(frames, min(starts, 5))
+
+
+def run_real(arguments: Sequence[str]) -> None:
+    """Calibration on real frames: published calibrations perturbed and brought back, boxes and points drawn.
+
+    KITTI and View-of-Delft frames, a LiDAR-camera pair, K-Radar's example picture, View-of-Delft's radar against its
+    LiDAR; each is skipped where it is absent.
+
+        python benchmarks/calibration.py real --pictures runs/pictures
+    """
+    parser = part_parser(run_real.__doc__)
+    parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--starts", type=int, default=10)
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS)
+    options = parser.parse_args(arguments)
+    if not any((SHARED_REAL / name).is_dir() for name in options.sets):
+        raise MissingError("no real frames beside the project")
+    if options.pictures is not None:
+        options.pictures.mkdir(parents=True, exist_ok=True)
+    for line in lines(options.starts, options.pictures, options.sets):
+        print(line, flush=True)
+
+
 if __name__ == "__main__":
-    main()
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "cameras": Part(run_cameras, "--data TMP/cameras --frames 3 --draws 3 --starts 1 --roads 'urban day'"),
+                "board": Part(run_board, "--pictures 4 --lenses 1"),
+                "real": Part(run_real, "--starts 1 --sets view_of_delft kradar"),
+            },
+        )
+    )

@@ -1,14 +1,5 @@
-"""Feed damaged files to every reader: each must give a clear error or a valid result, quickly and in little memory.
+"""Damaged files to every reader: each must give a clear error or a valid result, quickly and in little memory."""
 
-    python benchmarks/fuzz_readers.py [--files 20000] [--only pcd xyz] [--output benchmarks/results/fuzz_readers.txt]
-
-Good files are truncated, bit-flipped, spliced with others, filled with bytes that parsers dislike, and the digits in
-their headers are inflated. Each reader runs in a process of its own whose address space may grow by 1 GB. Exit status
-1 where anything but a FarfieldError came out, a file took more than 2 s of processor time, memory ran out, or a pickle
-was loaded.
-"""
-
-import argparse
 import io
 import json
 import multiprocessing
@@ -25,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _fuzz_exchange import exchange_targets
-from _fuzz_radar import radar_targets
-from _fuzz_time import time_targets
+from _fuzz_formats import exchange_targets, radar_targets, time_targets
+from _report import Part, part_parser, run_parts
 from PIL import Image
 
 from farfield.datasets.cirrus.labels import boxes_from_labels
@@ -35,7 +25,6 @@ from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
 from farfield.datasets.cirrus.layout import Labels
 from farfield.errors import FarfieldError
 from farfield.files import boxes_csv, clouds, depth_png, images, kitti, pcd, xyz
-from farfield.files.atomic import write_text
 
 LIMIT_S, LIMIT_BYTES = 2.0, 1 << 30
 NASTY = (*b'nan -inf 1e999 -1 0x1 1_0 , { "'.split(), b"\0", b"\xff\xff\xff\xff", b"\r", b"\n\n", b" ")
@@ -108,7 +97,7 @@ def damaged_files(rng: np.random.Generator, target: Target, count: int) -> Itera
 
 
 def fuzz(target: Target, count: int, folder: Path, *, seed: int = 0) -> Tally:
-    """Read ``count`` damaged files in this process."""
+    """Feed damaged files to a reader, and count what came of them."""
     tally, path, faults = Tally(), folder / f"damaged{target.suffix}", Counter[str]()
     pickles = watch_pickles()
     for index, (kind, data) in enumerate(damaged_files(np.random.default_rng(seed), target, count)):
@@ -303,36 +292,42 @@ def fuzz_in_process(name: str, count: int, keep: Path) -> Tally:
     return tally
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+def run_fuzz(arguments: Sequence[str]) -> int:
+    """Feed damaged files to every reader: each must give a clear error or a valid result, quickly and in little memory.
+
+        python benchmarks/fuzz_readers.py [--files 20000] [--only pcd xyz]
+
+    Good files are truncated, bit-flipped, spliced with others, filled with bytes that parsers dislike, and the digits
+    in their headers are inflated. Each reader runs in a process of its own whose address space may grow by 1 GB. Exit
+    status 1 where anything but a FarfieldError came out, a file took more than 2 s of processor time, memory ran out,
+    or a pickle was loaded.
+    """
+    parser = part_parser(run_fuzz.__doc__)
     parser.add_argument("--files", type=int, default=20_000)
     parser.add_argument("--only", nargs="+", help="names of readers")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "fuzz_readers.txt")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "farfield-fuzz")
-    arguments = parser.parse_args()
-    from _report import header
-
+    options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        names = [name for name in targets(Path(folder)) if arguments.only is None or name in arguments.only]
-    lines = [header(), "", f"{'reader':20}{'files':>8}{'errors':>8}{'results':>8}{'slowest':>12}{'memory':>10}  faults"]
+        names = [name for name in targets(Path(folder)) if options.only is None or name in options.only]
+    print(f"{'reader':20}{'files':>8}{'errors':>8}{'results':>8}{'slowest':>12}{'memory':>10}  faults")
     failed = False
     for name in names:
-        tally = fuzz_in_process(name, arguments.files, arguments.keep)
+        tally = fuzz_in_process(name, options.files, options.keep)
         failed |= bool(tally.faults)
-        counts = f"{name:20}{arguments.files:8}{tally.errors:8}{tally.results:8}"
+        counts = f"{name:20}{options.files:8}{tally.errors:8}{tally.results:8}"
         figures = f"{tally.slowest_s * 1e3:9.1f} ms{tally.peak_bytes / 2**20:7.0f} MB"
-        lines.append(f"{counts}{figures}  {'; '.join(tally.faults) or 'none'}")
-        print(lines[-1], flush=True)
-    lines += [
-        "",
-        f"mutations: {', '.join(MUTATIONS)}",
-        "memory: peak of the whole process, interpreter and seeds included",
-        "",
-    ]
-    arguments.output.parent.mkdir(exist_ok=True)
-    write_text(arguments.output, "\n".join(lines))
+        print(f"{counts}{figures}  {'; '.join(tally.faults) or 'none'}", flush=True)
+    print(f"\nmutations: {', '.join(MUTATIONS)}")
+    print("memory: peak of the whole process, interpreter and seeds included")
     return int(failed)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "fuzz": Part(run_fuzz, "--files 50 --only xyz 'kradar labels' openlabel", exact=True),
+            },
+        )
+    )

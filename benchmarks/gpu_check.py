@@ -5,8 +5,9 @@ usage: python benchmarks/gpu_check.py [--only PART ...] [--minutes 10] [--json F
 
 Each part runs in a process of its own, so that one that breaks off, even with the GPU's context, leaves the others be.
 No network and no data but what is simulated here, or a cloud made beforehand: ``--archive`` makes it where there is the
-simulator, and reads it where there is none. At the end comes one table; it and the same as JSON go to
-benchmarks/results. The exit status is 1 if anything failed.
+simulator, and reads it where there is none. At the end comes one table; it becomes the section of its device in
+benchmarks/results/gpu_check.txt, or goes beside the JSON. The exit status is 1 if anything failed. ``--tiny`` runs two
+parts of seconds and keeps their table only in ``--output``.
 """
 
 import argparse
@@ -23,10 +24,12 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from _report import ROOT, header
+from _report import RESULTS, ROOT, header, keep_section
 
 OUT_OF_TIME = "out of time"
 ARCHIVE = ROOT / "data" / "gpu_check_cloud.npz"
+TINY = ("copies", "full")
+"""The parts of the tiny setting."""
 
 
 class Part(NamedTuple):
@@ -46,11 +49,11 @@ PARTS = {
     "outputs": Part("raw outputs before suppression, GPU against CPU", "_gpu_outputs:raw"),
     "boxes": Part("boxes after suppression, on the device against on the host", "_gpu_outputs:boxes"),
     "copies": Part("copies between host and GPU, from points to boxes", "_gpu_outputs:copies"),
-    "full": Part("what is said where memory is not enough", "_gpu_memory:full"),
+    "full": Part("what is said where memory is not enough", "_gpu_speed:full"),
     "speed": Part("milliseconds and peak memory from 60,000 points to boxes", "_gpu_speed:speed"),
     "backbone": Part("SECOND's sparse backbone, beside spconv where it is at hand", "_gpu_speed:backbone"),
     "range": Part("cost as the range grows from 50 to 250 m, 30,000 points", "_gpu_speed:ranges"),
-    "memory": Part("peak memory of RTN and RTNH beside the paper's", "_gpu_memory:radar"),
+    "memory": Part("peak memory of RTN and RTNH beside the paper's", "_gpu_speed:radar"),
     "loader": Part("frames a second with a loader", "_gpu_speed:loader"),
     "resume": Part("a checkpoint of one device, gone on from on the other", "_gpu_training:resume"),
     "training": Part("training steps of every detector", "_gpu_training:train"),
@@ -210,7 +213,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), metavar="PART")
     parser.add_argument("--minutes", type=float, default=30.0, help="of the whole check; later parts may go without")
-    parser.add_argument("--json", type=Path, help="where the result goes, its table beside it as .txt")
+    parser.add_argument("--json", type=Path, help="where the result goes as JSON, its table beside it as .txt")
+    parser.add_argument("--tiny", action="store_true", help="two parts of seconds")
+    parser.add_argument("--output", type=Path, help="where the table goes otherwise, as a section")
     parser.add_argument(
         "--archive", type=Path, default=ARCHIVE, help="a cloud made beforehand; made where it is absent"
     )
@@ -224,17 +229,24 @@ def main(arguments: list[str] | None = None) -> int:
     if options.serve:
         serve(options.serve, options.archive)
         return 0
+    if options.tiny:
+        options.only = list(TINY)
     found = joined(options.join) if options.join else check(options.only, options.minutes, options.archive)
     print(text(found))
-    _store(found, options.json)
+    _store(found, options)
     return int(any(row["verdict"] == "FAILED" for part in found["parts"].values() for row in part["rows"]))
 
 
-def _store(found: dict[str, Any], path: Path | None) -> None:
+def _store(found: dict[str, Any], options: argparse.Namespace) -> None:
     from farfield.files.atomic import write_text
 
     slug = re.sub(r"[^a-z0-9]+", "-", (found["hardware"]["gpu"] or "cpu").lower()).strip("-")
-    path = path or ROOT / "benchmarks" / "results" / f"gpu_check_{slug}.json"
+    output = options.output or (None if options.tiny else RESULTS / "gpu_check.txt")
+    if options.json is None:
+        if output is not None:
+            keep_section(output, slug, text(found))
+        return
+    path = options.json
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, json.dumps(found, indent=1) + "\n")
     write_text(path.with_suffix(".txt"), text(found))

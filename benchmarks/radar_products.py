@@ -1,31 +1,18 @@
-"""A full-size radar tensor to polar map, cube and clouds: time, memory, equality; the store beside other formats.
-
-    python benchmarks/radar_products.py [--repeats 3] [--frames 6] [--output benchmarks/results/radar_products.txt]
-
-Writes K-Radar's array (64, 256, 37, 107) in double precision, plain and packed, into a temporary folder (0.9 GB), and
-measures each step in a process of its own: the time of the first call after the imports, and the highest memory of the
-whole process. Plain definitions (the whole file by scipy.io.loadmat, numpy and SciPy in double precision) stand beside
-the streamed products. Zarr and Parquet are measured where they are installed (PYTHONPATH may name a folder made by
-``pip install --target``). Exit status 1 where a limit of time or memory is passed or a product differs by more than
-1e-6.
-"""
+"""A full-size radar tensor to polar map, cube and clouds; the store beside other formats."""
 
 import argparse
 import json
 import resource
-import subprocess
 import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import header
-
-from farfield.files.atomic import write_text
+from _report import Part, child_output, part_parser, run_parts
 
 RATES = (0.01, 0.05, 0.1)
 STEPS = {  # name: (file, what is done, seconds allowed, megabytes allowed)
@@ -325,17 +312,15 @@ def region_table(folder: Path, whole: list[Any], repeats: int) -> list[str]:
 
 
 def child(*arguments: str) -> Any:
-    """Run this script for one step and read its answer."""
-    done = subprocess.run([sys.executable, __file__, *arguments], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"{' '.join(arguments)}: {done.stderr}")
-    return json.loads(done.stdout.splitlines()[-1])
+    """Run one step in a process of its own and read its answer."""
+    return json.loads(child_output(*arguments).splitlines()[-1])
 
 
-def speed_table(folder: Path, repeats: int) -> tuple[list[str], bool]:
+def speed_table(folder: Path, repeats: int, only: Sequence[str]) -> tuple[list[str], bool]:
     lines = [f"{'':<54}{'seconds':>9}{'allowed':>9}{'CPU s':>9}{'MB':>8}{'allowed':>9}"]
     good = True
-    for name, (file, what, seconds, megabytes) in STEPS.items():
+    for name in only:
+        file, what, seconds, megabytes = STEPS[name]
         runs = [child("--step", name, "--path", str(folder / file)) for _ in range(repeats)]
         best, used = (min(run[key] for run in runs) for key in ("seconds", "processor"))
         peak = max(run["megabytes"] for run in runs)
@@ -347,7 +332,7 @@ def speed_table(folder: Path, repeats: int) -> tuple[list[str], bool]:
 
 
 def report(options: argparse.Namespace) -> tuple[str, bool]:
-    lines = [header(), ""]
+    lines = []
     with tempfile.TemporaryDirectory(dir=options.folder) as name:
         folder = Path(name)
         child("--step", "write", "--path", str(folder))
@@ -355,27 +340,41 @@ def report(options: argparse.Namespace) -> tuple[str, bool]:
         lines.append(
             f"a tensor of 64 x 256 x 37 x 107 doubles: {sizes}; first call in a fresh process, best of repeats"
         )
-        table, good = speed_table(folder, options.repeats)
-        lines += [*table, "", "largest relative difference from the plain definition in double precision"]
-        found = child("--step", "differences", "--path", str(folder / "plain.mat"))
-        lines += [f"  {what:<60}{value:9.1e}" for what, value in found.items()]
-        good &= max(found.values()) <= TOLERANCE
+        table, good = speed_table(folder, options.repeats, options.only)
+        lines += table
+        if not options.without_differences:
+            lines += ["", "largest relative difference from the plain definition in double precision"]
+            found = child("--step", "differences", "--path", str(folder / "plain.mat"))
+            lines += [f"  {what:<60}{value:9.1e}" for what, value in found.items()]
+            good &= max(found.values()) <= TOLERANCE
         (folder / "packed.mat").unlink()
         (folder / "plain.mat").unlink()
         lines += ["", f"clouds with Doppler of {options.frames} frames, warm page cache, read to (n, 5) float32"]
         lines += child("--step", "store", "--path", str(folder), "--frames", str(options.frames))
-    return "\n".join([*lines, ""]), good
+    return "\n".join(lines), good
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def run_products(arguments: Sequence[str]) -> int:
+    """A full-size radar tensor to polar map, cube and clouds: time, memory, equality; the store beside other formats.
+
+        python benchmarks/radar_products.py [--repeats 3] [--frames 6]
+
+    Writes K-Radar's array (64, 256, 37, 107) in double precision, plain and packed, into a temporary folder (0.9 GB),
+    and measures each step in a process of its own: the time of the first call after the imports, and the highest memory
+    of the whole process. Plain definitions (the whole file by scipy.io.loadmat, numpy and SciPy in double precision)
+    stand beside the streamed products. Zarr and Parquet are measured where they are installed (PYTHONPATH may name a
+    folder made by ``pip install --target``). Exit status 1 where a limit of time or memory is passed or a product
+    differs by more than 1e-6.
+    """
+    parser = part_parser(run_products.__doc__)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--frames", type=int, default=6)
+    parser.add_argument("--only", nargs="+", choices=list(STEPS), default=list(STEPS))
+    parser.add_argument("--without-differences", action="store_true")
     parser.add_argument("--folder", type=Path, help="where the temporary files stand")
-    parser.add_argument("--output", type=Path)
     parser.add_argument("--step", help=argparse.SUPPRESS)
     parser.add_argument("--path", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     if options.step == "write":
         print(json.dumps(write_tensor(options.path)))
     elif options.step == "differences":
@@ -388,10 +387,15 @@ def main() -> int:
         return 0
     text, good = report(options)
     print(text)
-    if options.output:
-        write_text(options.output, text)
     return int(not good)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "products": Part(run_products, "--repeats 1 --frames 1 --only polar3d-plain --without-differences"),
+            },
+        )
+    )

@@ -1,14 +1,4 @@
-"""SECOND's sparse backbone, side by side with spconv's CPU build: time, and error against dense convolution.
-
-Weights and voxels are the same for all; rulebooks are found anew at every pass and timed. Each implementation runs in a
-process of its own with its own number of threads; the processes take turns, pass by pass, each timed pass right after
-an untimed one, as in a stream of frames: the other processes have emptied the caches, and its threads sleep. spconv
-joins where it can be imported (``pip install --target somewhere spconv==2.3.8``, then ``PYTHONPATH=somewhere python
-benchmarks/...``).
-
-What spconv 2.3.8 needs on a CPU: one thread to be right (its scatter races with more), its stream call patched for the
-backward pass, contiguous int32 indices; it knows neither a bias nor bfloat16 there, so bias and ReLU follow in place.
-"""
+"""SECOND's sparse backbone beside spconv's CPU build."""
 
 import argparse
 import importlib.util
@@ -18,11 +8,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from _report import header
+from _report import Part, child_command, part_parser, run_parts
 
 SHAPE = (41, 1408, 1600)  # z, x, y: SECOND's car grid at 0.05 x 0.05 x 0.1 m
 CASES = {20_000: 64, 60_000: 128}  # voxels: beams
@@ -214,9 +205,10 @@ def serve(kind: str, dtype: str, threads: int, folder: Path) -> None:
     make = ours if kind == "ours" else theirs
     passes = {False: make(False, dtype), True: make(True, dtype)}
     data = {}
-    for count in CASES:
+    for path in folder.glob("features_*.npy"):
+        count = int(path.stem.removeprefix("features_"))
         keys = torch.from_numpy(np.load(folder / f"{count}.npy"))
-        data[count] = (torch.from_numpy(np.load(folder / f"features_{count}.npy")), keys)
+        data[count] = (torch.from_numpy(np.load(path)), keys)
     print("ready", flush=True)
     for line in sys.stdin:
         count_text, mode = line.split()
@@ -244,7 +236,7 @@ class Runner:
     def __init__(self, kind: str, dtype: str, threads: int, folder: Path) -> None:
         self.name, self.kind, self.dtype, self.threads, self.folder = f"{kind} {dtype}", kind, dtype, threads, folder
         self.process = subprocess.Popen(
-            [sys.executable, __file__, "--serve", kind, dtype, str(threads), str(folder)],
+            child_command("--serve", kind, dtype, threads, folder),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -315,25 +307,25 @@ def dense_errors() -> None:
     print(f"  worst single layer {layer_error:.1e}, whole backbone {whole:.1e}")
 
 
-def report(rounds: int) -> None:
-    print(header())
+def report(rounds: int, cases: dict[int, int]) -> None:
     print(f"load     {os.getloadavg()[0]:.2f} before the first pass\n")
     dense_errors()
-    setups = [("ours", "float32", 2), ("ours", "bfloat16", 2), ("ours", "float32", 1), ("ours", "bfloat16", 1)]
+    threads = (2, 1) if cases == CASES else (1,)
+    setups = [("ours", dtype, count) for count in threads for dtype in ("float32", "bfloat16")]
     if importlib.util.find_spec("spconv") is None:
         print("\nspconv cannot be imported here: its rows are left out.")
     else:
-        setups += [("spconv", "float32", 2), ("spconv", "float32", 1)]
+        setups += [("spconv", "float32", count) for count in threads]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for count, beams in CASES.items():
+        for count, beams in cases.items():
             np.save(folder / f"{count}.npy", case(count, beams))
             features = np.random.default_rng(3).normal(size=(count, 4)).astype(np.float32)
             np.save(folder / f"features_{count}.npy", features)
         runners = [Runner(*setup, folder) for setup in setups]
         for runner in runners:
             runner.wait()
-        for count in CASES:
+        for count in cases:
             compare(count, runners, rounds)
         for runner in runners:
             runner.close()
@@ -368,7 +360,7 @@ def compare(count: int, runners: list[Runner], rounds: int) -> None:
             cells.append(f"{best:7.1f} {median:7.1f}" if best is not None else "")
         error = np.abs(runner.output(count) - truth).max() / np.abs(truth).max()
         print(f"  {runner.name:16s} {runner.threads:7d} {cells[0]:>15s} {cells[1]:>18s}   {error:.1e}")
-    if reference is None:
+    if reference is None or ("spconv float32", 2, "forward") not in times:
         return
     theirs_ms = times["spconv float32", 2, "forward"]
     print(
@@ -379,17 +371,37 @@ def compare(count: int, runners: list[Runner], rounds: int) -> None:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+def run_backbone(arguments: Sequence[str]) -> None:
+    """SECOND's sparse backbone, side by side with spconv's CPU build: time, and error against dense convolution.
+
+    Weights and voxels are the same for all; rulebooks are found anew at every pass and timed. Each implementation runs
+    in a process of its own with its own number of threads; the processes take turns, pass by pass, each timed pass
+    right after an untimed one, as in a stream of frames: the other processes have emptied the caches, and its threads
+    sleep. spconv joins where it can be imported (``pip install --target somewhere spconv==2.3.8``, then
+    ``PYTHONPATH=somewhere python benchmarks/sparse_convolution.py``).
+
+    What spconv 2.3.8 needs on a CPU: one thread to be right (its scatter races with more), its stream call patched for
+    the backward pass, contiguous int32 indices; it knows neither a bias nor bfloat16 there, so bias and ReLU follow in
+    place.
+    """
+    parser = part_parser(run_backbone.__doc__)
     parser.add_argument("--rounds", type=int, default=25)
+    parser.add_argument("--voxels", type=int, nargs="+", help="of a scan of 64 beams, in place of both cases")
     parser.add_argument("--serve", nargs=4, help=argparse.SUPPRESS)
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(arguments)
     if chosen.serve:
         kind, dtype, threads, folder = chosen.serve
         serve(kind, dtype, int(threads), Path(folder))
     else:
-        report(chosen.rounds)
+        report(chosen.rounds, dict.fromkeys(chosen.voxels, 64) if chosen.voxels else CASES)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "backbone": Part(run_backbone, "--rounds 1 --voxels 2000"),
+            },
+        )
+    )

@@ -1,37 +1,43 @@
-"""The studio's server: start-up, a long sequence, edits, fits, memory, one frame as a file.
-
-    python benchmarks/studio_server.py [--work data/studio] [--output benchmarks/results/studio_server.txt]
-
-Each is measured from outside, on the command that a user starts. On a shared machine a row also holds as a ratio to a
-reference of the same run: a Python process that imports what a server needs, a line appended and fsynced, a whole
-render of 131,072 points.
-"""
+"""The studio's server and journal, and the studio over a slow link."""
 
 import argparse
 import http.client
 import json
+import os
+import random
 import shutil
 import socket
 import statistics
 import subprocess
 import sys
+import tempfile
+import threading
 import time
+import warnings
 from collections.abc import Sequence
+from concurrent.futures import Future, wait
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from _report import ROOT
-from _studio_client import window
-from _studio_process import Started, started
+from _report import ROOT, Part, Table, child_command, load_printed, part_parser, run_parts
+from _studio_process import Started, slow_link, started, window
 from _studio_scenes import write_folder
-from _studio_screen import Screen, chromium_path, screen
-from _studio_table import Table, reported
-from studio_journal import fsyncs
-from studio_page import SIZES, reference_ms
+from _studio_screen import Screen, browser, chromium_path, screen
+from studio_page import SIZES, drag_box, frame_changes, reference_ms
+
+from farfield.annotation.edits import set_box
+from farfield.annotation.schema import schema_of
+from farfield.annotation.store import Author, Store, undo
+from farfield.datasets.base import Dataset
+from farfield.datasets.edits import Record, journal_folder
+from farfield.datasets.labels import CsvLabels
+from farfield.files.atomic import write_text
+from farfield.frame import Frame
 
 SAMPLE = ROOT / "src" / "farfield" / "studio" / "samples" / "kradar"
-FRAMES = 600
+SERVER_FRAMES = 600
 IMPORTS = "import numpy, pydantic, starlette.applications, uvicorn, websockets, yaml"
 
 
@@ -97,7 +103,7 @@ def sequence_of(work: Path) -> Path:
     label = next((root / "kradar_revised_label_v2_1").rglob("*.txt"))
     record = json.loads((root / "1" / "frame_record" / "00006_00001.json").read_text())
     stamps = []
-    for number in range(1, FRAMES + 1):
+    for number in range(1, SERVER_FRAMES + 1):
         radar = number + 5
         for folder, pattern in sensors:
             _linked(next((SAMPLE / "1" / folder).iterdir()), root / "1" / folder / pattern.format(number))
@@ -144,7 +150,7 @@ def start(table: Table, launch: Any, work: Path) -> None:
     browser.close()
 
 
-def edits(table: Table, live: Started, work: Path) -> None:
+def server_edits(table: Table, live: Started, work: Path) -> None:
     """Edits one after the other through the WebSocket."""
     plain = statistics.median(fsyncs(work))
     with window(live) as client:
@@ -194,20 +200,18 @@ def memory(table: Table, page: Screen, live: Started) -> None:
     table.add("memory of the server after 60 frames of 131k", f"{rss:.0f} MB", "<= 900 MB", rss <= 900)
 
 
-def run(work: Path) -> Table:
+def server_run(work: Path) -> Table:
     """All rows."""
-    from playwright.sync_api import sync_playwright
-
     table = Table()
     work.mkdir(parents=True, exist_ok=True)
-    with sync_playwright() as playwright:
+    with browser() as playwright:
         launch = partial(playwright.chromium.launch, executable_path=chromium_path())
         start(table, launch, work)
         folder, journal = write_folder(work / "131k", 80, SIZES["131k"]), work / "edits-server"
         shutil.rmtree(journal, ignore_errors=True)
         chromium = launch()
         with started("annotate", str(folder), "--edits", str(journal)) as live:
-            edits(table, live, work)
+            server_edits(table, live, work)
             with screen(chromium, live) as page:
                 fits(table, page, 2)
                 memory(table, page, live)
@@ -215,13 +219,298 @@ def run(work: Path) -> Table:
     return table
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def run_server(arguments: Sequence[str]) -> int:
+    """The studio's server: start-up, a long sequence, edits, fits, memory, one frame as a file.
+
+        python benchmarks/studio_server.py server [--work data/studio]
+
+    Each is measured from outside, on the command that a user starts. On a shared machine a row also holds as a ratio to
+    a reference of the same run: a Python process that imports what a server needs, a line appended and fsynced, a whole
+    render of 131,072 points.
+    """
+    parser = part_parser(run_server.__doc__)
     parser.add_argument("--work", type=Path, default=ROOT / "data" / "studio")
-    parser.add_argument("--output", type=Path)
-    options = parser.parse_args()
-    return reported(partial(run, options.work), options.output)
+    options = parser.parse_args(arguments)
+    with load_printed():
+        table = server_run(options.work)
+    return table.status
+
+
+JOURNAL_FRAMES, AHEAD = 20, 25
+ANN = Author("ann", "w1")
+_OUT = threading.Lock()
+
+
+class Names(Dataset):
+    """A data set of one drive that has names and labels only."""
+
+    name = "names"
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.sequences = root, ("a",) * JOURNAL_FRAMES
+        self.frame_ids = tuple(f"{row:04d}" for row in range(JOURNAL_FRAMES))
+
+    def frame(self, index: int) -> Frame:
+        """A frame without anything."""
+        return Frame(sequence="a", frame_id=self.frame_ids[index], time_ns=index * 10**8, reference="lidar")
+
+    def files(self, index: int) -> Sequence[Path]:
+        """No files."""
+        del index
+        return ()
+
+
+def opened(root: Path) -> Store:
+    file = root / "boxes.csv"
+    if not file.exists():
+        rows = (f"a,{row:04d},car,{10 + row},2,0,4.5,1.9,1.6,0.25,,3\n" for row in range(JOURNAL_FRAMES))
+        write_text(file, "sequence,frame,label,x,y,z,l,w,h,yaw_rad,score,track_id\n" + "".join(rows))
+    schema = schema_of({"car": (4.6, 1.95, 1.7)}, None, "full")
+    return Store(Names(root), CsvLabels(file), journal_folder(root), schema)
+
+
+def reopened(root: Path) -> Store:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*torn.*")
+        return opened(root)
+
+
+def edit(store: Store, number: int, name: str) -> "Future[Record]":
+    key = ("a", f"{number % JOURNAL_FRAMES:04d}")
+    row = store.row(key, "0")
+    assert row is not None
+    value = {"box": [100.0 + number % 3000 / 4, *row.label.box[1:]]}
+    return store.edit(ANN, name, "box.set", partial(set_box, key=key, name="0", base=row.version, value=value)).saved
+
+
+def acknowledge(done: "Future[Record]") -> None:
+    with _OUT:
+        sys.stdout.write(f"{done.result().id}\n")
+        sys.stdout.flush()
+
+
+def serve(root: Path) -> None:
+    """Edit as the server does: edits in, acknowledgements out."""
+    with opened(root) as store:
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        for line in sys.stdin:
+            order = json.loads(line)
+            edit(store, order["number"], order["id"]).add_done_callback(acknowledge)
+
+
+def killed(root: Path, edits: int, after: int) -> tuple[int, int, int]:
+    """Edits sent, acknowledged and kept of a process that is killed; raises where one is lost."""
+    command = child_command("--serve", root)
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+        assert server.stdout.readline() == b"ready\n"
+        sent, acknowledged = 0, set()
+        while len(acknowledged) < after:
+            more = range(sent, min(len(acknowledged) + AHEAD, edits))
+            lines = "".join(json.dumps({"id": f"e{number}", "number": number}) + "\n" for number in more)
+            os.write(server.stdin.fileno(), lines.encode())
+            sent = max(sent, more.stop)
+            acknowledged.add(server.stdout.readline().strip().decode())
+        server.kill()
+        acknowledged |= {line.strip().decode() for line in server.stdout if line.endswith(b"\n")}
+    with reopened(root) as store:
+        kept = [store.journal.read(seq).id for seq in range(1, len(store.journal) + 1)]
+    lost = acknowledged - set(kept)
+    if lost or kept != [f"e{number}" for number in range(len(kept))] or len(kept) > sent:
+        raise SystemExit(f"lost: {sorted(lost)}; kept {len(kept)} of {sent}")
+    return sent, len(acknowledged), len(kept)
+
+
+def percentiles(values: Sequence[float]) -> str:
+    ordered = sorted(values)
+    return f"median {statistics.median(ordered):.1f}, p95 {ordered[int(0.95 * len(ordered))]:.1f} ms"
+
+
+def fsyncs(folder: Path) -> list[float]:
+    """Times of appending a line and fsync alone, ms."""
+    took = []
+    with (folder / "plain").open("ab") as handle:
+        for _ in range(200):
+            begin = time.perf_counter()
+            handle.write(b"x" * 300 + b"\n")
+            handle.flush()
+            os.fsync(handle.fileno())
+            took.append(1000 * (time.perf_counter() - begin))
+    return took
+
+
+def acknowledged(folder: Path) -> list[float]:
+    """Times from an edit to its acknowledgement, one after the other, ms."""
+    took = []
+    with opened(folder) as store:
+        for number in range(200):
+            begin = time.perf_counter()
+            edit(store, number, f"e{number}").result()
+            took.append(1000 * (time.perf_counter() - begin))
+    return took
+
+
+def burst(folder: Path, edits: int) -> float:
+    """Seconds until all edits of a burst are acknowledged."""
+    with opened(folder) as store:
+        begin = time.perf_counter()
+        wait([edit(store, number, f"e{number}") for number in range(edits)])
+        return time.perf_counter() - begin
+
+
+def restarted(folder: Path, edits: int, steps: int) -> tuple[float, float, float]:
+    """Seconds to replay so many edits, CPU seconds of it, seconds a step taken back; the first state is checked."""
+    with opened(folder) as store:
+        begin = states(store)
+        futures = [edit(store, number, f"e{number}") for number in range(edits)]
+        wait(futures)
+    start, cpu = time.perf_counter(), time.process_time()
+    with opened(folder) as store:
+        ready, cpu = time.perf_counter() - start, time.process_time() - cpu
+        start = time.perf_counter()
+        last = [undo(store, ANN, f"u{number}").saved for number in range(steps)]
+        wait(last)
+        step = (time.perf_counter() - start) / steps
+        if steps == edits and states(store) != begin:
+            raise SystemExit("taken back to the first edit, the state is another one")
+    return ready, cpu, step
+
+
+def states(store: Store) -> bytes:
+    return repr([[row.label for row in store.rows(key)] for key in store.keys]).encode()
+
+
+def report(repeats: int, many: int) -> int:
+    """Times, rows and kills; 1 where a row misses its target."""
+    table = Table()
+    with tempfile.TemporaryDirectory() as name:
+        folders = {each: Path(name, each) for each in ("fsync", "ack", "burst", "small", "large", "kill")}
+        for folder in folders.values():
+            folder.mkdir()
+        print(f"a line and fsync, nothing else, 200:      {percentiles(fsyncs(folders['fsync']))}")
+        print(f"edit acknowledged after fsync, 200:       {percentiles(acknowledged(folders['ack']))}")
+        took = burst(folders["burst"], 1000)
+        table.add("1,000 edits in a burst, all acknowledged", f"{took:.2f} s", "<= 3 s", took <= 3)
+        for edits, steps, folder, most_s in ((1_000, 1_000, "small", 0.3), (many, 1_000, "large", 3.0)):
+            ready, cpu, step = restarted(folders[folder], edits, steps)
+            size_mb = (folders[folder] / ".farfield-studio" / "edits.jsonl").stat().st_size / 1e6
+            print(
+                f"restart with {edits:,} edits: {size_mb:.1f} MB with the undo, {cpu:.2f} s of CPU, "
+                f"{1000 * step:.2f} ms a step taken back"
+            )
+            words = "; all taken back: the first state, byte for byte" if steps == edits else ""
+            table.add(f"restart with {edits:,} edits", f"{ready:.2f} s{words}", f"<= {most_s:g} s", ready <= most_s)
+        rng = random.Random(0)
+        runs = []
+        for repeat in range(repeats):
+            folder = folders["kill"] / str(repeat)
+            folder.mkdir()
+            runs.append(killed(folder, 1000, rng.randrange(1, 990)))
+        sent, known, kept = (sum(each) for each in zip(*runs, strict=True))
+        figure = f"{sent:,} sent, {known:,} acknowledged, {kept:,} kept, 0 lost"
+        table.add(f"kill -9 during 1,000 edits, {repeats} times", figure, "none acknowledged is lost", True)
+    return table.status
+
+
+def run_journal(arguments: Sequence[str]) -> int:
+    """The studio's journal: how long an edit takes to be safe, what a kill loses, how long a restart takes.
+
+        python benchmarks/studio_server.py journal [--repeats 20]
+
+    Acknowledged means after fsync. A process that edits as the studio's server does gets 1,000 edits over a pipe, 25
+    ahead of its acknowledgements, and is killed (SIGKILL) after a random number of these; then its journal is replayed.
+    Lost is what was acknowledged and is not there. Exit status 1 where an edit is lost, or an undo back to the first
+    edit after a restart does not give the same bytes. Times are of a shared machine: fsync alone is measured beside
+    them.
+    """
+    parser = part_parser(run_journal.__doc__)
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--many", type=int, default=100_000, help="edits of the longer restart")
+    parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.serve is not None:
+        serve(options.serve)
+        return 0
+    with load_printed():
+        return report(options.repeats, options.many)
+
+
+LIMITS = {"131k": (600, 5.0, 200, 2.0), "262k": (1000, 4.5, 300, 2.0)}  # cold ms, renders; prefetched ms, renders
+REST_MS = {"131k": 2500, "262k": 4000}
+
+
+def changes(table: Table, chromium: Any, live: Started, name: str, seconds: float, *, drag: bool) -> None:
+    """Rows of frame changes, and of dragging a box."""
+    cold_ms, cold_ratio, warm_ms, warm_ratio = LIMITS[name]
+    with screen(chromium, live) as page:
+        whole = reference_ms(page)
+        cold = statistics.median(frame_changes(page, "Shift+ArrowRight", 4, rest_ms=REST_MS[name]))
+        warm = statistics.median(frame_changes(page, "ArrowRight", 6, rest_ms=REST_MS[name]))
+        for kind, ms, limit, ratio in (
+            ("not prefetched", cold, cold_ms, cold_ratio),
+            ("prefetched", warm, warm_ms, warm_ratio),
+        ):
+            said = f"{ms:.0f} ms = {ms / whole:.1f} x (reference render {whole:.0f} ms)"
+            held = ms <= max(limit, ratio * whole)
+            table.add(f"link: frame change {name}, {kind}", said, f"<= {limit} ms or {ratio} x", held)
+        if drag:
+            drag_box(table, page, seconds, name="link: drag a box, 131k")
+
+
+def link_edits(table: Table, live: Started) -> None:
+    """Edits through the link."""
+    with window(live) as client:
+        over = client.edits_ms(0, 60)
+    middle, late = statistics.median(over), sorted(over)[int(0.95 * len(over))]
+    table.add("link: edit acknowledged", f"median {middle:.0f}, p95 {late:.0f} ms", "median <= 120 ms", middle <= 120)
+
+
+def link_run(work: Path, seconds: float) -> Table:
+    """All rows."""
+    table = Table()
+    with browser() as playwright:
+        chromium = playwright.chromium.launch(executable_path=chromium_path())
+        for name, frames in (("131k", 80), ("262k", 60)):
+            folder = write_folder(work / name, frames, SIZES[name])
+            with (
+                started("annotate", str(folder), "--edits", str(work / f"edits-{name}")) as live,
+                slow_link(int(live.origin.rpartition(":")[2])) as port,
+            ):
+                far = replace(live, origin=f"http://127.0.0.1:{port}")
+                changes(table, chromium, far, name, seconds, drag=name == "131k")
+                if name == "131k":
+                    link_edits(table, far)
+        chromium.close()
+    return table
+
+
+def run_link(arguments: Sequence[str]) -> int:
+    """The studio over a link of 20 Mbit/s and 50 ms there and back: frame changes, dragging, edits.
+
+        python benchmarks/studio_server.py link [--work data/studio] [--seconds 3]
+
+    The link is a proxy of our own that slows WebSockets too; the browser's throttling does not. Its rate holds for all
+    connections together. Times also hold as ratios to a whole render of the same run, waited for.
+    """
+    parser = part_parser(run_link.__doc__)
+    parser.add_argument("--work", type=Path, default=ROOT / "data" / "studio")
+    parser.add_argument("--seconds", type=float, default=3.0)
+    options = parser.parse_args(arguments)
+    with load_printed():
+        table = link_run(options.work, options.seconds)
+    return table.status
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "server": Part(run_server, None),
+                "journal": Part(run_journal, "--repeats 1 --many 1000"),
+                "link": Part(run_link, None),
+            },
+        )
+    )

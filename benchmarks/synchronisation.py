@@ -1,24 +1,24 @@
-"""Synchronisation on simulated streams: cost against the exact optimum, streaming against batch, clocks, speed.
-
-A 30 Hz camera that runs freely, two 10 Hz LiDARs, a 10 Hz radar and a GPS at 1 Hz: each with a clock of its own
-(offset, drift), jitter, 5 % of the messages lost, and messages that arrive late.
-
-    python benchmarks/synchronisation.py --output benchmarks/results/synchronisation.txt
-"""
+"""Synchronisation: matching of streams and clocks against the truth, its speed, and a raw recording."""
 
 import argparse
-import subprocess
-import sys
+import json
 import tempfile
 import time
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from _report import SHARED_REAL, header, progress
+from _report import SHARED_REAL, Part, child_output, part_parser, progress, run_parts
 from jaxtyping import Float, Int64
 
+from farfield.pages.sync_page import write_synchronised
+from farfield.simulation.presets import find_preset
+from farfield.simulation.recording.raw import record_streams
 from farfield.sync import StreamMatcher, drift_bound_ppm, fit_clock, match_blocks, match_times
 from farfield.sync.matching import assign, cost_ns, nearest, windows
+from farfield.sync.sources import recordings
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
@@ -48,16 +48,16 @@ def optimum(a: Stamps, b: Stamps, tolerance: int) -> int:
     return int(costs[linear_sum_assignment(costs)].sum())
 
 
-def exactness() -> list[str]:
+def exactness(draws: int) -> list[str]:
     """Batch cost against scipy's, and plain nearest matching's, for the rates and jitters of sensors."""
-    lines = ["batch against the exact optimum (scipy), 20 s, 5 % lost, 5 seeds", ""]
+    lines = [f"batch against the exact optimum (scipy), 20 s, 5 % lost, {draws} seeds", ""]
     lines.append("reference  other    jitter ms  tolerance ms  pairs   cost = optimum   each nearest, used once")
     cases = [("lidar", "camera", 2, 17), ("lidar", "lidar_2", 2, 50), ("lidar", "lidar_2", 20, 50)]
     cases += [("lidar", "radar", 100, 50), ("camera", "lidar", 2, 17), ("camera", "lidar", 20, 50)]
     cases += [("lidar", "gps", 2, 50), ("radar", "camera", 30, 40)]
     for own, other, jitter, tolerance in progress(cases, "optimum"):
         equal, pairs, over = 0, 0, []
-        for seed in range(5):
+        for seed in range(draws):
             rng = np.random.default_rng(seed)
             a, b = stream(rng, own, 20, jitter), stream(rng, other, 20, jitter)
             partner = assign(a, b, tolerance * MS)
@@ -176,28 +176,33 @@ def clock_line(words: str, found: Float[np.ndarray, "n 3"], bound: float) -> str
     return f"{shown}{rms[1]:>11.3f}{worst:>10.3f}{100 * inside:>11.0f} %"
 
 
-def speed() -> list[str]:
-    """10 million stamps in lists of text, read, matched and written, each way in a process of its own."""
-    lines = ["", "10 million stamps (camera 30 Hz, two LiDARs and a radar 10 Hz, GPS 1 Hz; 46 hours), text files", ""]
+def speed(stamps: float) -> list[str]:
+    """Millions of stamps in lists of text, read, matched and written, each way in a process of its own."""
+    hours = stamps / (sum(RATES.values()) * 0.95) / 3600
+    lines = [""]
+    lines += [
+        f"{stamps / 1e6:g} million stamps (camera 30 Hz, two LiDARs and a radar 10 Hz, GPS 1 Hz; {hours:.0f} hours), "
+        "text files"
+    ]
+    lines.append("")
     lines.append("what                                                         CPU s   peak MB")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_lists(folder)
+        write_lists(folder, stamps)
         for words, mode in (
             ("read and match, in blocks (17 ms)", "match"),
             ("the same, tolerance 50 ms", "match50"),
             ("farfield sync: read twice, match, fit, table, page", "sync"),
         ):
-            command = [sys.executable, __file__, "--child", mode, "--folder", name]
-            shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+            shown = child_output("--mode", mode, "--folder", name).split()
             lines.append(f"{words:<58}{float(shown[0]):>9.2f}{float(shown[1]):>10.0f}   {' '.join(shown[2:])}")
     return lines
 
 
-def write_lists(folder: Path) -> None:
+def write_lists(folder: Path, stamps: float) -> None:
     """Lists of stamps, one a stream."""
     rng = np.random.default_rng(0)
-    span = 10e6 / (sum(RATES.values()) * 0.95)
+    span = stamps / (sum(RATES.values()) * 0.95)
     for name in progress(RATES, "writing"):
         values = stream(rng, name, span, 2)
         with (folder / f"{name}.txt").open("w") as handle:
@@ -249,23 +254,133 @@ def real() -> list[str]:
     return lines
 
 
-def main() -> None:
-    """Print all of it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path)
-    parser.add_argument("--seeds", type=int, default=200)
-    parser.add_argument("--child", choices=("match", "match50", "sync"))
-    parser.add_argument("--folder", type=Path)
-    given = parser.parse_args()
-    if given.child:
-        child(given.child, given.folder)
+def run_streams(arguments: Sequence[str]) -> None:
+    """Synchronisation on simulated streams: cost against the exact optimum, streaming against batch, clocks, speed.
+
+    A 30 Hz camera that runs freely, two 10 Hz LiDARs, a 10 Hz radar and a GPS at 1 Hz: each with a clock of its own
+    (offset, drift), jitter, 5 % of the messages lost, and messages that arrive late.
+
+        python benchmarks/synchronisation.py streams
+    """
+    parser = part_parser(run_streams.__doc__)
+    parser.add_argument("--seeds", type=int, default=200, help="of the clocks")
+    parser.add_argument("--draws", type=int, default=5, help="of each case of the optimum")
+    parser.add_argument("--stamps", type=float, default=10e6, help="whose time is measured")
+    parser.add_argument("--mode", choices=("match", "match50", "sync"), help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    given = parser.parse_args(arguments)
+    if given.mode:
+        child(given.mode, given.folder)
         return
-    lines = [header(), "", *exactness(), *streaming(), *clocks(given.seeds), *speed(), *real()]
-    text = "\n".join(lines) + "\n"
-    print(text, end="")
-    if given.output:
-        given.output.write_text(text)
+    for lines in (exactness(given.draws), streaming(), clocks(given.seeds), speed(given.stamps), real()):
+        print("\n".join(lines), flush=True)
+
+
+SENSORS = ("gaussian", "uniform", "camera", "imu_front", "imu_rear", "gps")
+
+
+def against_computer(truth: dict[str, Any], name: str, middle_ns: int) -> tuple[float, float]:
+    """True drift in ppm and offset in ms of the computer's clock against a sensor's, the least delay included."""
+    stream, computer = truth["streams"][name], truth["computer"]
+    read_s = (middle_ns - truth["epoch_ns"]) / 1e9
+    true_s = (read_s - stream["offset_ms"] / 1e3) / (1 + stream["drift_ppm"] * 1e-6)
+    arrived_s = true_s + stream["least_delay_ms"] / 1e3
+    logged_s = arrived_s * (1 + computer["drift_ppm"] * 1e-6) + computer["offset_ms"] / 1e3
+    return ((1 + computer["drift_ppm"] * 1e-6) / (1 + stream["drift_ppm"] * 1e-6) - 1) * 1e6, (logged_s - read_s) * 1e3
+
+
+def arrivals(found: dict[str, Any], truth: dict[str, Any]) -> list[str]:
+    """Each clock against the computer's, from stamps and times of recording."""
+    lines = ["the computer's clock against each sensor's, from stamps and times of recording of the same messages", ""]
+    lines.append(
+        "stream     messages  drift ppm: true   found    ± se   error   offset ms: true    found   error  includes"
+    )
+    for name in SENSORS:
+        clock = found["arrivals"].get(f"/{name}")
+        if clock is None:
+            continue
+        drift, offset = against_computer(truth, name, clock["middle_ns"])
+        se = clock["drift_se_ppm"] if clock["drift_se_ppm"] is not None else float("nan")
+        error, off = clock["drift_ppm"] - drift, clock["offset_ns"] / 1e6 - offset
+        lines.append(
+            f"{name:<11}{clock['pairs']:>8}{drift:>17.3f}{clock['drift_ppm']:>8.3f}{se:>8.3f}"
+            f"{error:>8.3f}{offset:>18.3f}{clock['offset_ns'] / 1e6:>9.3f}{off:>8.3f}  {clock['offset_includes']}"
+        )
+    return lines
+
+
+def between(found: dict[str, Any], truth: dict[str, Any]) -> list[str]:
+    """One sensor against the other from matched stamps alone."""
+    streams, own = truth["streams"], truth["streams"]["gaussian"]
+    lines = ["", "each stream matched to /gaussian, from stamps alone", ""]
+    lines.append("stream     pairs  worst ms  drift ppm: of the clocks   found   bound   what the stamps tell")
+    for name in SENSORS[1:]:
+        pair = found["pairs"][f"/{name}"]
+        known = streams[name]["drift_ppm"] - own["drift_ppm"]
+        clock, told = pair["clock"], "runs freely: its stamps follow its own rate, whatever that is"
+        told = "the drift of its clock against the LiDAR's" if not streams[name]["free_running"] else told
+        words = f"{'':>8}{'':>8}" if clock is None else f"{clock['drift_ppm']:>8.3f}{clock['bound_ppm']:>8.3f}"
+        told = told if clock is not None else "nothing: too few, or no whole ratio of rates"
+        lines.append(
+            f"{name:<11}{pair['matched']:>5}{pair['residual']['worst_ms']:>10.3f}{known:>26.3f}{words}   {told}"
+        )
+    clock, other = found["pairs"]["/uniform"]["clock"], streams["uniform"]
+    if clock is None:
+        return lines
+    middle_s = (clock["middle_ns"] - truth["epoch_ns"]) / 1e9
+    apart = other["offset_ms"] - own["offset_ms"] + other["phase_ms"]
+    apart += (other["drift_ppm"] - own["drift_ppm"]) * middle_s * 1e-3
+    error = (clock["offset_ns"] / 1e6 - apart + 50) % 100 - 50
+    lines += [
+        "",
+        f"/uniform's stamps are truly {apart:.3f} ms later, up to periods of 100 ms; error {error:+.3f} ms",
+    ]
+    return lines
+
+
+def run_recording(arguments: Sequence[str]) -> None:
+    """A raw recording of a simulated drive, synchronised: clocks that are found against those that are known.
+
+    A minute of the Cirrus car's raw streams (two LiDARs fired by the GPS' pulses, a camera and two IMUs that run
+    freely, GPS), each with a clock of its own, written as a ROS 2 bag, read back and matched as ``farfield sync`` does.
+
+        python benchmarks/synchronisation.py recording
+    """
+    parser = part_parser(run_recording.__doc__)
+    parser.add_argument("--sweeps", type=int, default=600)
+    options = parser.parse_args(arguments)
+    preset = find_preset("cirrus-sim-mini", duration_s=options.sweeps / 10 + 1)
+    with tempfile.TemporaryDirectory() as folder:
+        root, started = Path(folder), time.process_time()
+        recorded = record_streams(
+            preset,
+            root / "raw",
+            sweeps=options.sweeps,
+            sequences=1,
+            workers=1,
+            progress=partial(progress, what="files"),
+        )
+        spent = time.process_time() - started
+        size = sum(path.stat().st_size for path in recorded.bags[0].iterdir())
+        started = time.process_time()
+        write_synchronised(
+            root / "sync", recordings(recorded.bags[0]), to="/gaussian", tolerance_ns=None, title="a raw recording"
+        )
+        read = time.process_time() - started
+        found = json.loads((root / "sync" / "sync.json").read_text())["recordings"][0]
+        truth = json.loads(recorded.truths[0].read_text())
+    print(f"{options.sweeps / 10:g} s of cirrus-sim-mini, {size / 1e6:.0f} MB: simulated and written", end="")
+    print(f" in {spent:.0f} s of CPU, read, matched and drawn in {read:.1f} s\n")
+    print("\n".join([*arrivals(found, truth), *between(found, truth)]))
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "streams": Part(run_streams, "--draws 1 --seeds 5 --stamps 20000"),
+                "recording": Part(run_recording, "--sweeps 20"),
+            },
+        )
+    )

@@ -1,28 +1,18 @@
-"""Twelve validation tests of the simulator: every figure beside an independent reference, with its tolerance.
+"""Validation of the simulator: every figure beside an independent reference."""
 
-    python benchmarks/validation.py [--only 6 7] [--output benchmarks/results/validation.txt]
-
-Scenes and the brute-force radar are those of _stage.py and _radar_response.py; docs/validation.md says what
-is independent and what is assumed. Exit status 1 where a figure misses its tolerance. Rows marked "shown" carry no
-verdict.
-"""
-
-import argparse
 import dataclasses
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
-import _stage as stage
+import _validation_scenes as stage
 import numpy as np
-from _radar_response import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
-from _report import ROOT, header
+from _report import RESULTS, Part, part_parser, run_parts, sections
+from _validation_scenes import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
 from scipy.optimize import brentq
 from scipy.special import spherical_jn, spherical_yn
 
-from farfield.files.atomic import write_text
 from farfield.geometry.poses import pose_from_yaw
 from farfield.radar.axes import RadarAxes
 from farfield.simulation.bodies.materials import Material
@@ -64,8 +54,8 @@ from farfield.vocabulary.conditions import WEATHERS
 from farfield.vocabulary.patterns import PATTERNS
 from farfield.vocabulary.published_tables import SHARES_NEAR_HORIZON
 
-RESULTS = ROOT / "benchmarks" / "results"
-DETECTORS = RESULTS / "simulated_detection_v1.txt"
+FIRST = "simulated, the first simulator's"
+"""The section of results/detectors.txt that the first simulator's detectors have."""
 SEED = 20260101
 AIRS = {
     "normal": Weather(),
@@ -493,8 +483,14 @@ def weather() -> Rows:
     yield from radar_detectors()
 
 
+def recorded(script: str) -> dict[str, str]:
+    """The sections of what another benchmark printed."""
+    path = RESULTS / f"{script}.txt"
+    return sections(path) if path.exists() else {}
+
+
 def overall_dds(text: str) -> dict[tuple[str, str], float]:
-    """DDS by (trained on, tested on) from a table of simulated_detection.py."""
+    """DDS by (trained on, tested on) from a table of ``detectors.py simulated``."""
     found = {}
     for section in text.split("\n\n"):
         trained = re.search(r"trained on \[(.*)\]", section)
@@ -507,8 +503,8 @@ def overall_dds(text: str) -> dict[tuple[str, str], float]:
 
 def detectors() -> Rows:
     """What trained detectors show: one seed, not the sign test over three that a full proof needs."""
-    dds = overall_dds(DETECTORS.read_text()) if DETECTORS.exists() else {}
-    one = f"{DETECTORS.name}, one seed"
+    dds = overall_dds(recorded("detectors").get(FIRST, ""))
+    one = "detectors.txt, one seed"
     for what, better, worse, published in (
         ("DDS, G over U, each its own detector", ("gaussian",) * 2, ("uniform",) * 2, "> 0 (Cirrus +.077)"),
         ("DDS, U's own over G -> U", ("uniform",) * 2, ("gaussian", "uniform"), "> 0 (Cirrus +.018)"),
@@ -526,17 +522,17 @@ def radar_detectors() -> Rows:
     """How far RTNH lies above PointPillars on the os2-64, by weather: a verdict where the interval leaves 0 out."""
     title = "rtnh-kradar-sim above pointpillars-kradar-sim"
     for weather_name, sign in (("normal", -1), ("sleet", 1), ("heavy_snow", 1)):
-        file = RESULTS / ("radar_detectors.txt" if sign < 0 else f"radar_detectors_{weather_name}.txt")
-        text = file.read_text() if file.exists() else ""
+        section = "weathers" if sign < 0 else weather_name.replace("_", " ")
+        text, name = recorded("radar_detectors").get(section, ""), f"radar_detectors.txt, {section}"
         found = re.search(rf"^{title}\n(?:  .+\n)*?  {weather_name} +(\S+) \[(\S+), (\S+)\]$", text, re.MULTILINE)
         what = f"AP_3d, trained radar over LiDAR, {weather_name}"
         expected = "> 0; icing is an input" if sign > 0 else "< 0"
         if found is None:
-            yield Row(what, file.name, expected, "no such runs in the file", None)
+            yield Row(what, name, expected, "no such runs in the file", None)
             continue
         low, high = sorted(sign * float(end) for end in found.groups()[1:])
         verdict = True if low > 0 else False if high < 0 else None
-        yield Row(what, f"{file.name}, one seed", expected, "{} [{}, {}]".format(*found.groups()), verdict)
+        yield Row(what, f"{name}, one seed", expected, "{} [{}, {}]".format(*found.groups()), verdict)
 
 
 TESTS: dict[int, tuple[str, Callable[[], Rows]]] = {
@@ -555,29 +551,39 @@ TESTS: dict[int, tuple[str, Callable[[], Rows]]] = {
 }
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def run_validation(arguments: Sequence[str]) -> int:
+    """Twelve validation tests of the simulator: every figure beside an independent reference, with its tolerance.
+
+        python benchmarks/validation.py [--only 6 7]
+
+    Scenes and the brute-force radar are those of _validation_scenes.py; docs/validation.md says what is
+    independent and what is assumed. Exit status 1 where a figure misses its tolerance. Rows marked "shown" carry no
+    verdict.
+    """
+    parser = part_parser(run_validation.__doc__)
     parser.add_argument("--only", type=int, nargs="*", choices=TESTS, help="numbers of the tests to run")
-    parser.add_argument("--output", type=Path)
-    options = parser.parse_args()
-    lines, verdicts = [header(), ""], []
+    options = parser.parse_args(arguments)
+    print("no  verdict  figure, its independent reference, expected value and tolerance, measured")
+    verdicts = []
     for number in options.only or TESTS:
         title, rows = TESTS[number]
-        lines += ["", f"{number}. {title}"]
+        print(f"\n{number}. {title}")
         for row in rows():
             verdicts.append(row.ok)
             verdict = {True: "pass", False: "FAIL", None: "shown"}[row.ok]
             what = f"{number:>2}  {verdict:<5} {row.what:<49} {row.reference:<44}"
-            lines.append(f"{what} {row.expected:<22} {row.measured}")
+            print(f"{what} {row.expected:<22} {row.measured}", flush=True)
     passed, failed = verdicts.count(True), verdicts.count(False)
-    lines[1] = f"\n{passed} figures pass, {failed} fail, {verdicts.count(None)} are shown without a verdict."
-    lines.insert(2, "\nno  verdict  figure, its independent reference, expected value and tolerance, measured")
-    text = "\n".join([*lines, ""])
-    print(text)
-    if options.output:
-        write_text(options.output, text)
+    print(f"\n{passed} figures pass, {failed} fail, {verdicts.count(None)} are shown without a verdict.")
     return int(failed > 0)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "validation": Part(run_validation, "--only 1 2 3 4", exact=True),
+            },
+        )
+    )

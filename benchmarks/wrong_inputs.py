@@ -1,13 +1,5 @@
-"""Thirty wrong inputs that a person would make, each given to a command: is any wrong result silent?
+"""Wrong inputs that a person would make: is any wrong result silent?"""
 
-    python benchmarks/wrong_inputs.py [--only NAME ...] [--output benchmarks/results/wrong_inputs.txt]
-
-Written down before any of them was tried. A case is "refused" (exit status above 0, with the cause in the message),
-"said" (a note or a finding names it), "SILENT" (exit status 0 and no word of it), "UNCLEAR" (refused in other words) or
-"TRACEBACK". Exit status 1 where one is silent, unclear or a traceback.
-"""
-
-import argparse
 import re
 import subprocess
 import sys
@@ -18,8 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-
-from farfield.files.atomic import write_text
+from _report import Part, part_parser, run_parts
 
 HEADER = ("frame", "label", "x", "y", "z", "l", "w", "h", "yaw_rad", "score")
 FRAMES, CARS, GROUND_M = 8, 10, -1.7
@@ -325,26 +316,35 @@ def outcome(case: Case) -> tuple[str, str]:
     return ("said" if hit else "SILENT"), said
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--only", nargs="+", help="names of cases")
-    parser.add_argument("--output", type=Path)
-    arguments = parser.parse_args()
-    from _report import header
+def run_inputs(arguments: Sequence[str]) -> int:
+    """Thirty wrong inputs that a person would make, each given to a command: is any wrong result silent?
 
-    lines, bad = [header(), "", f"{'case':20}{'outcome':11}mistake; words"], 0
-    print(lines[0], flush=True)
+        python benchmarks/wrong_inputs.py [--only NAME ...]
+
+    Written down before any of them was tried. A case is "refused" (exit status above 0, with the cause in the message),
+    "said" (a note or a finding names it), "SILENT" (exit status 0 and no word of it), "UNCLEAR" (refused in other
+    words) or "TRACEBACK". Exit status 1 where one is silent, unclear or a traceback.
+    """
+    parser = part_parser(run_inputs.__doc__)
+    parser.add_argument("--only", nargs="+", help="names of cases")
+    options = parser.parse_args(arguments)
+    bad = 0
+    print(f"{'case':20}{'outcome':11}mistake; words", flush=True)
     for case in CASES:
-        if arguments.only is None or case.name in arguments.only:
+        if options.only is None or case.name in options.only:
             verdict, said = outcome(case)
             bad += verdict.isupper()
-            lines += [f"{case.name:20}{verdict:11}{case.what}", f"{'':31}... {said} ..."]
-            print("\n".join(lines[-2:]), flush=True)
-    lines += ["", f"{bad} silent, unclear or a traceback", ""]
-    if arguments.output:
-        write_text(arguments.output, "\n".join(lines))
+            print(f"{case.name:20}{verdict:11}{case.what}\n{'':31}... {said} ...", flush=True)
+    print(f"\n{bad} silent, unclear or a traceback")
     return int(bad > 0)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(
+        run_parts(
+            __doc__,
+            {
+                "inputs": Part(run_inputs, "--only 'no frames' lfs", exact=True),
+            },
+        )
+    )

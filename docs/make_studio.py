@@ -11,7 +11,15 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "studio.md"
 START, END = "<!-- keys -->", "<!-- end of keys -->"
 FIGURES, END_FIGURES = "<!-- figures -->", "<!-- end of figures -->"
-RECORDS = ("studio_page", "studio_server", "studio_link", "studio_journal", "studio_checks", "studio_tracks")
+RECORDS = (
+    ("studio_page", "page"),
+    ("studio_server", "server"),
+    ("studio_server", "link"),
+    ("studio_server", "journal"),
+    ("studio_checks", "checks"),
+    ("studio_checks", "tracks"),
+)
+"""Results files and their sections."""
 ANCHORS = {
     "frame change 131k, not prefetched": "K-Radar's devkit parses 370 to 420 ms alone",
     "orbit, 131k": "viser: 4.8 at 100k",
@@ -92,13 +100,13 @@ def key_map() -> str:
 def figures() -> str:
     """The figures of all records that there are, and of when and under which load each was taken."""
     lines, notes = ["| what | measured | target | an anchor |", "|---|---|---|---|"], []
-    for name in RECORDS:
-        path = ROOT / "benchmarks" / "results" / f"{name}.txt"
-        if not path.is_file():
+    for name, section in RECORDS:
+        text = (ROOT / "benchmarks" / "results" / f"{name}.txt").read_text()
+        text = re.split(r"^==== ", text.partition(f"==== {section}\n")[2], maxsplit=1, flags=re.MULTILINE)[0]
+        if not text:
             continue
-        text = path.read_text()
         facts = dict(re.findall(r"^(date|commit|load) +(.+)$", text, flags=re.MULTILINE))
-        notes.append(f"[{name}](../benchmarks/results/{name}.txt): {facts['date']}, load {facts['load']}")
+        notes.append(f"[{name}, {section}](../benchmarks/results/{name}.txt): {facts['date']}, load {facts['load']}")
         for line in text.splitlines():
             cells = [cell.strip() for cell in line.split(" | ")]
             if len(cells) == 4 and cells[3] in ("held", "MISSED"):

@@ -160,4 +160,4 @@ def test_quick(drive: CheckedDrive) -> None:
         took.append(time.process_time() - begin)
     assert (
         min(took) < 0.5
-    )  # shapes are checked at every call here; benchmarks/studio_checks.py measures it as users have it
+    )  # shapes are checked at every call here; benchmarks/studio_checks.py checks measures it as users have it

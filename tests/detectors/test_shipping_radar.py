@@ -4,11 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-import ship_radar_weights
 import shipped_figures
 
 ROOT = Path(__file__).resolve().parents[2]
-PRINTED = """command  python benchmarks/radar_detectors.py --runs rtnh-kradar-sim pointpillars-kradar-sim
+PRINTED = """command  python benchmarks/radar_detectors.py weathers --runs rtnh-kradar-sim pointpillars-kradar-sim
 date     2026-11-23 18:00 UTC
 
 kradar-sim-shipped: 348 frames of 116 drives, fingerprint 0123456789abcdef
@@ -65,12 +64,12 @@ def test_the_page_has_the_stored_figures() -> None:
 def test_provenance_names_no_folder_of_a_machine() -> None:
     data = {"path": "/elsewhere/data/kradar-sim-train", "clouds": ["radar"]}
     given = {"experiment": {"data": data}, "frames": 928}
-    kept = ship_radar_weights.without_machine(given)
+    kept = shipped_figures.without_machine(given)
     assert kept["experiment"]["data"]["path"] == "data/kradar-sim-train"
     assert kept["frames"] == 928
     assert data["path"].startswith("/elsewhere")
     streams = {"experiment": {"data": {"one": {"path": "/a/b"}, "two": {"path": "c"}}}}
-    paths = ship_radar_weights.without_machine(streams)["experiment"]["data"]
+    paths = shipped_figures.without_machine(streams)["experiment"]["data"]
     assert (paths["one"]["path"], paths["two"]["path"]) == ("data/b", "data/c")
 
 
@@ -88,7 +87,7 @@ def test_a_run_is_shipped_in_float16(tmp_path: Path) -> None:
     network = build_detector(config)
     provenance = {"experiment": {"detector": {"name": "pointpillars"}, "data": {"path": "/x/y"}}}
     save_weights(tmp_path / "weights.safetensors", network.state_dict(), config=config, provenance=provenance)
-    written = ship_radar_weights.ship(tmp_path, "pointpillars-kradar-sim", tmp_path)
+    written = shipped_figures.ship(tmp_path, "pointpillars-kradar-sim", tmp_path)
     assert written == tmp_path / "pointpillars-kradar-sim.safetensors"
     with safe_open(written, framework="pt") as file:
         kinds = {file.get_tensor(name).dtype for name in file.keys() if file.get_tensor(name).ndim > 1}  # noqa: SIM118
@@ -98,4 +97,4 @@ def test_a_run_is_shipped_in_float16(tmp_path: Path) -> None:
     for name, tensor in network.state_dict().items():
         assert torch.allclose(loaded.state_dict()[name].float(), tensor.float(), rtol=1e-3, atol=1e-6), name
     with pytest.raises(SystemExit, match="expected a run of rtnh, got pointpillars"):
-        ship_radar_weights.ship(tmp_path, "rtnh-kradar-sim", tmp_path)
+        shipped_figures.ship(tmp_path, "rtnh-kradar-sim", tmp_path)

@@ -75,4 +75,4 @@ def test_twenty_thousand_damaged_files_a_reader(tmp_path: Path, reader: str) -> 
     command += ["--output", str(tmp_path / "table.txt"), "--keep", str(tmp_path / "faults")]
     finished = subprocess.run(command, capture_output=True, text=True, check=False)
     assert finished.returncode == 0, finished.stdout + finished.stderr
-    assert finished.stdout.startswith(f"{reader:20}{20000:8}")
+    assert f"\n{reader:20}{20000:8}" in finished.stdout

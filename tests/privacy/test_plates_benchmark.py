@@ -10,10 +10,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("cv2")
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from _plates_crops import SIDE, Crop, tilted
-from _plates_rendering import FORMATS, draw_plate, paste
-from _plates_scenes import Place, Scene, keep_scene, kept_scene, upright
-from _plates_training import loss_of, targets
+from _plates_scenes import FORMATS, Place, Scene, draw_plate, keep_scene, kept_scene, paste, upright
+from _plates_training import SIDE, Crop, loss_of, targets, tilted
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _stage import HERE, fleet
+from _validation_scenes import HERE, fleet
 
 from farfield.errors import ConfigError
 from farfield.simulation import find_preset

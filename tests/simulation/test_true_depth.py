@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("embreex")
 
-from _true_depth import true_depth
+from depth import true_depth
 
 from farfield.depth import depth_map
 from farfield.depth.maps import cloud_and_camera

@@ -2,7 +2,7 @@ import socket
 import threading
 import time
 
-from _studio_link import slow_link
+from _studio_process import slow_link
 
 
 def echo(listener: socket.socket) -> None:

@@ -13,10 +13,10 @@ from farfield.tracking import track
 @pytest.fixture
 def drives(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(request.config.rootpath / "benchmarks"))
-    import tracking_real
+    import tracking
 
-    yield tracking_real
-    for name in ("tracking_real", "_annotated_drives"):
+    yield tracking
+    for name in ("tracking", "_annotated_drives"):
         sys.modules.pop(name)
 
 

@@ -1,7 +1,7 @@
 """What is known of each detector: its paper, its size, its speed and its score on a frozen split. Needs no torch.
 
-The figures are records: ``benchmarks/detectors.py`` measures them and writes ``weights_data/figures.json`` with the
-split, its checksum, the machine and the commit; ``benchmarks/shipped_figures.py`` takes speeds and the shipped weights'
+The figures are records: ``benchmarks/detectors.py budget`` measures them and writes ``weights_data/figures.json`` with
+the split, its checksum, the machine and the commit; ``tools/shipped_figures.py`` takes speeds and the shipped weights'
 scores, those of the radar experiments by weather too, from the results that the pages quote. Nothing here is measured
 while it is read.
 """

@@ -16,7 +16,7 @@ from farfield.metrics.detections import Detections
 
 Row = tuple[int, float]
 
-# nuscenes-devkit 1.2.0 with motmetrics 1.4.0, printed by benchmarks/nuscenes_tracking.py for its own scenes.
+# nuscenes-devkit 1.2.0 with motmetrics 1.4.0, printed by benchmarks/nuscenes_devkit.py tracking for its scenes.
 KIT = {
     "AMOTA": 0.555809353173,
     "AMOTP": 0.848624396879,
@@ -132,14 +132,14 @@ def test_tracks_are_filled_in_the_world_by_time() -> None:
 @pytest.fixture
 def bench(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(request.config.rootpath / "benchmarks"))
-    import nuscenes_tracking
+    import nuscenes_devkit
 
-    yield nuscenes_tracking
-    sys.modules.pop("nuscenes_tracking")
+    yield nuscenes_devkit
+    sys.modules.pop("nuscenes_devkit")
 
 
 def test_figures_are_the_development_kits(bench: Any) -> None:
-    got = figures(bench.random_scene())
+    got = figures(bench.tracking_random_scene())
     assert {name: got[name] for name in KIT} == pytest.approx(KIT, abs=1e-9)
 
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from _stage import on_asphalt, painted
+from _validation_scenes import on_asphalt, painted
 
 from farfield.errors import ConfigError
 from farfield.geometry.cameras import Camera

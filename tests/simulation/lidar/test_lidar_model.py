@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from _stage import HERE, body, frozen, plate, quiet
+from _validation_scenes import HERE, body, frozen, plate, quiet
 
 from farfield.errors import ConfigError
 from farfield.simulation.bodies.materials import Material, reflectance_at

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from _stage import HERE, body, frozen, moving, plate, quiet
+from _validation_scenes import HERE, body, frozen, moving, plate, quiet
 
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.lidar.echoes import strongest

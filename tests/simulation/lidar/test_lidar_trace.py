@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from _stage import HERE, body, coloured, frozen, quiet
+from _validation_scenes import HERE, body, coloured, frozen, quiet
 
 from farfield.errors import MissingExtraError
 from farfield.geometry.poses import invert, pose_from_yaw

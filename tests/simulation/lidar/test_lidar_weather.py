@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from _stage import HERE, body, coloured, fleet, frozen, patch_of_road, plate, quiet
+from _validation_scenes import HERE, body, coloured, fleet, frozen, patch_of_road, plate, quiet
 
 from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.bodies.materials import Material

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _radar_response import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
+from _validation_scenes import doppler_spectrum, point_spread_db, sampled_tensor, scatterers_of_snr
 
 from farfield.errors import ConfigError
 from farfield.radar.axes import RadarAxes

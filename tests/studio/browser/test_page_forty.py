@@ -1,4 +1,4 @@
-"""Objects annotated by a hand with errors, as benchmarks/studio_forty.py does with forty: what the label files hold."""
+"""Objects annotated by a hand with errors, as studio_fitting.py does with forty: what the label files hold."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,8 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("embreex")
 pytest.importorskip("numba")
-from _studio_copies import annotated, emptied, errors_of
-from _studio_hand import Hand
-from studio_forty import draw_new, draw_next, near_objects, polar_errors, simulated, unseen
+from _studio_screen import Hand, annotated, emptied, errors_of
+from studio_fitting import draw_new, draw_next, near_objects, polar_errors, simulated, unseen
 
 from farfield.datasets import open_dataset
 from farfield.radar.axes import KRADAR_AXES

@@ -45,7 +45,7 @@ class RadarModel:
         noise_floor: Mean noise power in a cell, file units: 109.1 dB (real map).
         high_pass_m: Range whose echoes the receiver's high-pass filter halves, 0 for no filter. With 100 m echoes fall
             by about 20 dB a decade instead of 40. The real map needs some filter; of corners from 60 to 200 m
-            it prefers none clearly (benchmarks/radar_near_range.py).
+            it prefers none clearly (benchmarks/radar.py near-range).
         response_range_m: Ranges at which the receiver's response is given.
         response_db: Response there: -2 dB at 6-11 m, roll-off of -5 dB at 110-114 m (real map).
         leakage_range_m: Ranges at which added power is given.
