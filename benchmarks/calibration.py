@@ -600,7 +600,7 @@ if __name__ == "__main__":
             __doc__,
             {
                 "cameras": Part(run_cameras, "--data TMP/cameras --frames 3 --draws 3 --starts 1 --roads 'urban day'"),
-                "board": Part(run_board, "--pictures 4 --lenses 1"),
+                "board": Part(run_board, "--pictures 6 --lenses 1"),
                 "real": Part(run_real, "--starts 1 --sets view_of_delft kradar"),
             },
         )

@@ -499,7 +499,7 @@ if __name__ == "__main__":
             __doc__,
             {
                 "doctor": Part(run_doctor, "--data TMP/doctor --sets 1 --kinds 2 --runs 1"),
-                "radar": Part(run_radar, "--data TMP/radar --rounds 1 --starts 1 --drives 1 --runs 2"),
+                "radar": Part(run_radar, "--data TMP/radar --rounds 1 --starts 1 --drives 1 --runs 1"),
             },
         )
     )

@@ -448,7 +448,7 @@ if __name__ == "__main__":
         run_parts(
             __doc__,
             {
-                "drives": Part(run_drives, "TMP/drives --sweeps 24 --every 2 --backward none"),
+                "drives": Part(run_drives, "TMP/drives --sweeps 16 --every 2 --backward none"),
                 "deskewing": Part(run_deskewing, "--moments 1 --roads urban --frames 2 --sequences 1"),
             },
         )

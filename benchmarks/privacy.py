@@ -124,13 +124,13 @@ def with_boards(
     return picture.clip(0, 255).astype(np.uint8), boxes[(boxes[:, 2] <= width) & (boxes[:, 3] <= height)]
 
 
-def faces_on_scenes(scenes: int, folder: Path) -> tuple[list[str], list[str]]:
+def faces_on_scenes(scenes: int, folder: Path, lights: Sequence[str]) -> tuple[list[str], list[str]]:
     """A table by light and size, and what a frame takes."""
     boards, detectors = portraits(folder), (FaceDetector(), FaceDetector(sizes=(1.0, 2.0)))
     lines = [f"{'portraits in scenes':34} " + " ".join(f"{size:>6} px" for size in FACES_SIZES_PX) + "  false cover"]
     clocks: list[list[float]] = [[] for _ in detectors]
     shape = (0, 0)
-    for light, settings in LIGHTS.items():
+    for light, settings in [(name, LIGHTS[name]) for name in lights]:
         drawn = [
             next(
                 iter(
@@ -177,13 +177,14 @@ def run_faces(arguments: Sequence[str]) -> None:
     parser.add_argument("--scenes", type=int, default=16)
     parser.add_argument("--real", type=Path, default=SHARED_REAL / "faces_and_plates")
     parser.add_argument("--without-pictures", action="store_true")
+    parser.add_argument("--lights", nargs="+", choices=LIGHTS, default=list(LIGHTS))
     options = parser.parse_args(arguments)
     if not (options.real / "boxes.csv").is_file():
         raise MissingError(f"no pictures of faces in {options.real.name}")
     lines = []
     if not options.without_pictures:
         lines += [*on_free_pictures(options.real), ""]
-    scenes, speed = faces_on_scenes(options.scenes, options.real)
+    scenes, speed = faces_on_scenes(options.scenes, options.real, options.lights)
     print("\n".join([*lines, *scenes, "", *speed]))
 
 
@@ -448,7 +449,7 @@ if __name__ == "__main__":
         run_parts(
             __doc__,
             {
-                "faces": Part(run_faces, "--scenes 1 --without-pictures"),
+                "faces": Part(run_faces, "--scenes 1 --without-pictures --lights night"),
                 "plates": Part(run_plates, "measure --scenes 1 --pictures 2 --without-real"),
             },
         )

@@ -65,7 +65,7 @@ def exactness(draws: int) -> list[str]:
             equal += cost == least
             pairs += int((partner >= 0).sum())
             over.append(cost_ns(a, b, once(a, b, tolerance * MS), tolerance * MS) / least - 1)
-        words = f"{own:<11}{other:<9}{jitter:>9}{tolerance:>14}{pairs:>7}   {equal} of 5"
+        words = f"{own:<11}{other:<9}{jitter:>9}{tolerance:>14}{pairs:>7}   {equal} of {draws}"
         lines.append(f"{words}          +{100 * np.mean(over):.2f} %")
     return lines
 

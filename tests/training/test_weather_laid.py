@@ -30,7 +30,7 @@ from farfield.training.weather import WeatherOverlay, check_weather, draw_weathe
 
 STILL = {"flip_probability": 0.0, "rotation_rad": 0.0, "scale": 0.0}
 LUMINAR = {"sensor": "luminar-h2", "probability": 1.0}
-GRID = Path(__file__).parents[2] / "benchmarks" / "weather_adapting.yaml"
+GRID = Path(__file__).parents[2] / "benchmarks" / "adaptation_weather.yaml"
 
 
 def samples_of(data: Path, *, seed: int = 0, **augmentation: Any) -> TrainingSamples:
