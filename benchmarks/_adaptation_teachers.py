@@ -1,4 +1,4 @@
-"""Teachers of weather_adapting.py: their thresholds, and the remedies that were tried where they closed no gap."""
+"""Teachers of adaptation.py: their thresholds, and the remedies that were tried where they closed no gap."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
