@@ -553,7 +553,7 @@ if __name__ == "__main__":
             {
                 "devices": Part(
                     run_devices,
-                    "--work TMP/devices --minutes 1 --steps 2 --frames 5 --source-frames 2 --scored 3 --rounds 1",
+                    "--work TMP/devices --minutes 0 --steps 2 --frames 5 --source-frames 2 --scored 3 --rounds 1",
                 ),
                 "weather": Part(
                     run_weather,
