@@ -5,8 +5,8 @@ It takes RGB from 0 to 255, and pictures whose sides are multiples of 32; the or
 small faces without a sign). Its box is tight: it leaves out forehead, ears and chin, so boxes are grown by half.
 
 **Plates**: no package with a free licence ships a plate detector that works, so the network learnt on drawn plates only
-(``benchmarks/privacy.py``): plates of many countries with random strings on the vehicles of simulated pictures. It looks
-at the picture at its own size, half and a quarter.
+(``benchmarks/privacy.py``): plates of many countries with random strings on the vehicles of simulated pictures. It
+looks at the picture at its own size, half and a quarter.
 """
 
 import hashlib
