@@ -65,7 +65,7 @@ def opened(path: Path, **_: Any) -> Any:
 def test_its_examples_are_what_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[dict[str, Any]] = []
     monkeypatch.setattr("farfield.api.adapt", partial(stop, taken))
-    monkeypatch.setattr("farfield.api.open_dataset", opened)
+    monkeypatch.setattr("farfield.datasets.open_dataset", opened)
     examples = re.findall(r"^ *farfield (adapt .*)$", inspect.getdoc(run) or "", re.MULTILINE)
     assert len(examples) == 6
     for example in examples:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from sources import sources
 
-from farfield.errors import FarfieldError
+from farfield.errors import FarfieldError, FileFormatError
 from farfield.experiments.schema import load_experiment
 from farfield.papers.claims import load
 from farfield.papers.grid import load_grid

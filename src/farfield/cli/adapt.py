@@ -44,7 +44,7 @@ def run(
       farfield adapt pointpillars-cirrus-sim my-sweeps --whole-bodies
       farfield adapt pointpillars-cirrus-sim my-sweeps --rounds 3 -o method.strong.thinning=0.5
 
-    What the detector is sure of in your sweeps teaches it as objects, what it is unsure of is ignored, and labelled
+    Confident detections in your sweeps teach it as objects, less confident ones are ignored, and labelled
     frames like those that it learnt from stay in every batch: they are simulated, unless --source names some. Labels of
     your sweeps, if there are any, are not looked at, and the last step counts, not the best one. OUT then holds
     weights.safetensors, which all verbs take as a detector, and report.html, which shows what changed. A killed command

@@ -109,7 +109,7 @@ def adapt(
         bulk: Who detects; this process unless given.
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
-        **choices: See :class:`Choices`: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``,
+        **choices: See :class:`~farfield.experiments.adapting.options.AdaptationOptions`: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``,
             ``overrides``, ``whole_bodies``, ``seed``.
 
     Raises:
@@ -143,7 +143,7 @@ def dry_run(
         out: Folder of the adaptation.
         source: Labelled frames.
         labels: Labelled frames to score on.
-        **choices: See :class:`Choices`.
+        **choices: See :class:`~farfield.experiments.adapting.options.AdaptationOptions`.
 
     Raises:
         ConfigError, DatasetError, FarfieldError: As ``adapt`` before it begins.
