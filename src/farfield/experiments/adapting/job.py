@@ -109,8 +109,7 @@ def adapt(
         bulk: Who detects; this process unless given.
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
-        **choices: See :class:`~farfield.experiments.adapting.options.AdaptationOptions`: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``,
-            ``overrides``, ``whole_bodies``, ``seed``.
+        **choices: Fields of :class:`~farfield.experiments.adapting.options.AdaptationOptions`.
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no
