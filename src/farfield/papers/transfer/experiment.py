@@ -73,7 +73,7 @@ class TransferScoring(GridScoring):
         for name, world in self.table.worlds.items():
             if name in floors:
                 continue
-            form = CommonRadar(**{"floor_db": (0.0,), **world.form})
+            form = CommonRadar(**{**world.form, "floor_db": tuple(world.form.get("floor_db", (0.0,)))})
             if "floor_db" not in world.form:
                 data = open_dataset(self.folder / self.table.set_name(name, "train"), **world.floor_options)
                 step = max(1, len(data) // self.table.floor_frames)
