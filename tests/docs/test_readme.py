@@ -4,13 +4,16 @@ import ast
 import inspect
 import math
 import re
+import sys
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
+import farfield as ff
 from farfield.cli import VERBS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,7 +62,9 @@ def registered_here() -> Iterator[None]:
 
 def _run(page: str, *, given: dict[str, object] | None = None, blocks: slice = slice(None)) -> dict[str, object]:
     """Run the blocks of a page, one after the other, and give the names that they define."""
-    names: dict[str, object] = {"__name__": "page", **(given or {})}
+    module = sys.modules["page"] = ModuleType("page")  # so that what it defines can be pickled
+    names = module.__dict__
+    names.update(given or {})
     for block in _blocks((ROOT / "docs" / page).read_text(encoding="utf-8"), "python")[blocks]:
         exec(compile(block, page, "exec"), names)
     return names
@@ -76,6 +81,12 @@ def test_contracts_run_from_top_to_bottom(
     assert len(names["boxes"]) == 2
     assert names["METHODS"].origin("self-training") == "registered here"
     assert not (tmp_path / "runs").exists()
+    assert names["near"].figures == {"recall": 1.0}
+    # the experiment of the page trains its reader, detector and method
+    (experiment,) = _blocks((ROOT / "docs" / "contracts.md").read_text(encoding="utf-8"), "yaml")
+    Path("mine.yaml").write_text(experiment)
+    names["Plan"](names["load_experiment"]("mine.yaml"), Path("runs/mine")).run()
+    assert "vehicle" in ff.load_detector("runs/mine").info.classes
 
 
 def test_conventions_run() -> None:

@@ -115,7 +115,7 @@ class Experiment(BaseModel):
         return kind.model_validate(value)
 
 
-def load_experiment(path: Path, overrides: list[str] | None = None) -> Experiment:
+def load_experiment(path: Path | str, overrides: list[str] | None = None) -> Experiment:
     """Read an experiment and apply overrides such as ``training.steps=500``.
 
     A file with ``extends: FILE`` lies over another, named relative to its folder, or over a shipped experiment by its
@@ -124,7 +124,7 @@ def load_experiment(path: Path, overrides: list[str] | None = None) -> Experimen
     Raises:
         ConfigError: If the file cannot be read, or a key or value is not one of those possible.
     """
-    return experiment_of(_extended(path), overrides or (), where=str(path))
+    return experiment_of(_extended(Path(path)), overrides or (), where=str(path))
 
 
 def _extended(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:

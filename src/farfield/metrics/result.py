@@ -181,7 +181,7 @@ class Result:
     protocol: str
     label: str
     settings: Mapping[str, Any]
-    convention: str
+    convention: str = ""
     figures: Statistics
     ranges: Mapping[str, Statistics] = field(default_factory=dict)
     mean_of_bins: Statistics = field(default_factory=dict)

@@ -41,6 +41,9 @@ def check_protocol(protocol: str | Protocol) -> None:
     checked = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
     detections = example()
     best = detections.score(checked)
+    for part, figures in {"figures": best.figures, **best.ranges}.items():
+        wrong = [name for name, value in figures.items() if value is not None and not np.isfinite(value)]
+        assert not wrong, f"{checked}: {part}: {', '.join(wrong)} must be finite, or None where nothing counts"
     tree = json.loads(json.dumps(best.to_json(), allow_nan=False))
     top = checked.headline(tree)
     assert any(value is not None for value in top.values()), f"{checked}: headline() must name figures of the result"
