@@ -712,7 +712,7 @@ export interface PolicyIs {
   extent: "full" | "visible";
 }
 
-/** Something went wrong: what, and how to mend it. */
+/** Something went wrong: what, and how to fix it. */
 export interface Failure {
   op: "error";
   sentence: string;
