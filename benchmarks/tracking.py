@@ -302,7 +302,7 @@ def frames(drives: int, rng: np.random.Generator) -> list[DetectionBatch]:
         m = int(kept.sum())
         seen = DetectionBatch(
             drive=drive[kept],
-            rows=rows[kept],
+            boxes=rows[kept],
             velocity_m_s=np.zeros((m, 2)),
             ray_m=here[kept],
             score=np.ones(m),

@@ -25,7 +25,7 @@ def seen(place: np.ndarray, radial: np.ndarray | None, sensor: np.ndarray | None
     moving = np.zeros((n, 3)) if sensor is None else sensor
     return DetectionBatch(
         drive=np.arange(n),
-        rows=np.column_stack([place, np.tile([0, 4, 2, 1.5, 0], (n, 1))]).astype(float),
+        boxes=np.column_stack([place, np.tile([0, 4, 2, 1.5, 0], (n, 1))]).astype(float),
         velocity_m_s=np.zeros((n, 2)),
         ray_m=place,
         score=np.ones(n),

@@ -35,7 +35,7 @@ def seen(rows: np.ndarray) -> DetectionBatch:
     whole = np.zeros(n, dtype=np.int64)
     return DetectionBatch(
         drive=whole,
-        rows=rows,
+        boxes=rows,
         velocity_m_s=np.zeros((n, 2)),
         ray_m=rows[:, :2],
         score=np.ones(n),

@@ -96,7 +96,6 @@ def predict(tracks: Tracks, dt: Float[np.ndarray, " n"], settings: TrackerSettin
     """
     dt = dt[:, None]
     tracks.position_m = tracks.position_m + dt * tracks.velocity
-    tracks.misses = tracks.misses + 1
     tracks.position_var = tracks.position_var + 2 * dt * tracks.position_velocity_cov + dt**2 * tracks.velocity_var
     tracks.position_velocity_cov = tracks.position_velocity_cov + dt * tracks.velocity_var
     tracks.shape_var = tracks.shape_var + settings.process_variance

@@ -109,9 +109,9 @@ class DetectionBatch:
 
     Args:
         drive: Numbers of the drives, rising, shape (n,).
-        rows: x, y, z (the filtered point), length, width, height, yaw, shape (n, 7).
+        boxes: x, y, z (the filtered point), length, width, height, yaw, shape (n, 7).
         velocity_m_s: Where the detector gives it, else 0, shape (n, 2).
-        ray_m: From the sensor to the box along the axes of the rows, shape (n, 2).
+        ray_m: From the sensor to the box along the axes of ``boxes``, shape (n, 2).
         score: Scores, shape (n,), falling within a drive.
         label: Numbers of the classes, shape (n,).
         source: Their rows in the table of all detections, shape (n,).
@@ -119,7 +119,7 @@ class DetectionBatch:
     """
 
     drive: Int[np.ndarray, " n"]
-    rows: Float[np.ndarray, "n 7"]
+    boxes: Float[np.ndarray, "n 7"]
     velocity_m_s: Float[np.ndarray, "n 2"]
     ray_m: Float[np.ndarray, "n 2"]
     score: Float[np.ndarray, " n"]
@@ -130,9 +130,9 @@ class DetectionBatch:
     def __len__(self) -> int:
         return len(self.drive)
 
-    def __getitem__(self, rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "DetectionBatch":
+    def __getitem__(self, index: Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | slice) -> "DetectionBatch":
         columns: dict[str, Any] = {
-            name: None if values is None else values[rows] for name, values in vars(self).items()
+            name: None if values is None else values[index] for name, values in vars(self).items()
         }
         return DetectionBatch(**columns)
 
@@ -191,34 +191,40 @@ class TrackEngine:
         if not continuing.all():
             self.tracks = self.tracks[continuing[self.tracks.drive]]
 
-        # Prediction: constant velocity, over one frame or over its seconds.
-        step = (np.ones_like(dt) if settings.time == "frames" else dt)[self.tracks.drive]
-        predict(self.tracks, step, settings)
-        self.tracks.unseen_s = self.tracks.unseen_s + dt[self.tracks.drive]
+        # Prediction: constant velocity over a span, one frame or its seconds (frames or seconds).
+        span = (np.ones_like(dt) if settings.time == "frames" else dt)[self.tracks.drive]
+        predict(self.tracks, span, settings)
         if self.coupled:
-            predict_cross(self.tracks, step)
+            predict_cross(self.tracks, span)
 
-        # Data association and update: every track with the strong detections.
+        # Ageing: every track counts as missed in this frame, until a match sets both to 0 (_update).
+        self.tracks.misses = self.tracks.misses + 1
+        self.tracks.unseen_s = self.tracks.unseen_s + dt[self.tracks.drive]
+
+        # Data association and update: every track with the strong detections, greedily or by the Hungarian method, as
+        # settings.assignment says. strong_score is on the scale of the scores as they come, logits too, unlike
+        # sure_score, a probability that __init__ takes to that scale.
         is_strong = np.ones(len(detections), dtype=bool)
         if settings.strong_score is not None:
             is_strong = detections.score >= settings.strong_score
         strong = detections if is_strong.all() else detections[is_strong]
-        rows, matches = self._associate(strong, np.arange(len(self.tracks)), self.gate)
-        self._update(rows, strong[matches])
+        track_rows, detection_rows = self._associate(strong, np.arange(len(self.tracks)), self.gate)
+        self._update(track_rows, strong[detection_rows])
 
         # Second stage: tracks without a match with the weak detections (Pang et al., SimpleTrack, 2022).
         if settings.weak_gate is not None and not is_strong.all():
             weak = detections[~is_strong]
             weak_gate = np.full(len(self.gate), settings.weak_gate)
-            rows, weak_matches = self._associate(weak, np.flatnonzero(self.tracks.misses > 0), weak_gate)
-            self._update(rows, weak[weak_matches], alive_only=not settings.weak_updates)
+            track_rows, weak_rows = self._associate(weak, np.flatnonzero(self.tracks.misses > 0), weak_gate)
+            self._update(track_rows, weak[weak_rows], alive_only=not settings.weak_updates)
 
         # Birth: of each strong detection without a match.
         unmatched = np.ones(len(strong), dtype=bool)
-        unmatched[matches] = False
+        unmatched[detection_rows] = False
         self.tracks = self.tracks.with_new(self._birth(strong[unmatched]))
 
-        # Output: tracks with enough matches, or of the drive's first frames.
+        # Output: tracks with enough matches, or of the drive's first frames. Indexing copies: what is reported
+        # stays as it is when tracks are updated later.
         reported = self.tracks[self._is_reported()]
 
         # Death: of tracks that were missed for too long.
@@ -227,19 +233,19 @@ class TrackEngine:
         return reported
 
     def _associate(
-        self, detections: DetectionBatch, rows: Int[np.ndarray, " k"], gate: Float[np.ndarray, " labels"]
+        self, detections: DetectionBatch, track_rows: Int[np.ndarray, " k"], gate: Float[np.ndarray, " labels"]
     ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-        """Rows of the tracks, of those given, that have a match, and rows of their detections."""
-        if not len(detections) or not len(rows):
+        """Rows of those tracks of ``track_rows`` that have a match, and the rows of their detections."""
+        if not len(detections) or not len(track_rows):
             none = np.zeros(0, dtype=np.int64)
             return none, none
-        tracks = self.tracks if len(rows) == len(self.tracks) else self.tracks[rows]
+        tracks = self.tracks if len(track_rows) == len(self.tracks) else self.tracks[track_rows]
         track_boxes = np.column_stack([tracks.position_m, tracks.size_m, tracks.yaw_rad])
-        detection_boxes = detections.rows
+        detection_boxes = detections.boxes
         if self.settings.anchor == "bottom":
             track_boxes = _centred(track_boxes)
             detection_boxes = _centred(detection_boxes)
-        matched, matches = associate(
+        matched, detection_rows = associate(
             track_boxes,
             tracks.drive,
             tracks.label,
@@ -250,7 +256,7 @@ class TrackEngine:
             gate,
             self._gate_uncertainty(tracks, detections),
         )
-        return rows[matched], matches
+        return track_rows[matched], detection_rows
 
     def _gate_uncertainty(self, tracks: Tracks, detections: DetectionBatch) -> GateUncertainty | None:
         settings = self.settings
@@ -272,43 +278,45 @@ class TrackEngine:
             radial=radial,
         )
 
-    def _update(self, rows: Int[np.ndarray, " k"], detections: DetectionBatch, *, alive_only: bool = False) -> None:
+    def _update(
+        self, track_rows: Int[np.ndarray, " k"], detections: DetectionBatch, *, alive_only: bool = False
+    ) -> None:
         """Update tracks by their detections, or only note that they were seen."""
         tracks, settings = self.tracks, self.settings
-        if not len(rows):
+        if not len(track_rows):
             return
-        tracks.misses[rows] = 0
-        tracks.unseen_s[rows] = 0.0
+        tracks.misses[track_rows] = 0
+        tracks.unseen_s[track_rows] = 0.0
         if alive_only:
             return
-        tracks.hits[rows] += 1
-        tracks.best_score[rows] = np.maximum(tracks.best_score[rows], detections.score)
-        tracks.range_m[rows] = np.hypot(*detections.ray_m.T)
-        tracks.source[rows] = detections.source
-        tracks.score[rows] = detections.score
+        tracks.hits[track_rows] += 1
+        tracks.best_score[track_rows] = np.maximum(tracks.best_score[track_rows], detections.score)
+        tracks.range_m[track_rows] = np.hypot(*detections.ray_m.T)
+        tracks.source[track_rows] = detections.source
+        tracks.score[track_rows] = detections.score
         if settings.motion == "detection":
-            tracks.position_m[rows] = detections.rows[:, :3]
-            tracks.size_m[rows] = detections.rows[:, 3:6]
-            tracks.yaw_rad[rows] = detections.rows[:, 6]
-            tracks.velocity[rows, :2] = detections.velocity_m_s
+            tracks.position_m[track_rows] = detections.boxes[:, :3]
+            tracks.size_m[track_rows] = detections.boxes[:, 3:6]
+            tracks.yaw_rad[track_rows] = detections.boxes[:, 6]
+            tracks.velocity[track_rows, :2] = detections.velocity_m_s
             return
         variance = self._variance(detections.ray_m)
         if not self.coupled:
-            update(tracks, rows, detections.rows, variance, settings)
+            update(tracks, track_rows, detections.boxes, variance, settings)
             return
         # With radial velocities: x and y together, z on its own axis, then the radial velocity.
         covariance = variance[:, :2, None] * np.eye(2)
         if settings.range_sigma_m is not None:
             covariance = polar_covariance(detections.ray_m, settings.range_sigma_m, settings.azimuth_sigma_rad)
-        update(tracks, rows, detections.rows, variance, settings, axes=slice(2, 3))
-        update_coupled(tracks, rows, detections.rows[:, :2], covariance)
-        self._update_doppler(tracks, rows, detections)
+        update(tracks, track_rows, detections.boxes, variance, settings, axes=slice(2, 3))
+        update_coupled(tracks, track_rows, detections.boxes[:, :2], covariance)
+        self._update_doppler(tracks, track_rows, detections)
 
-    def _update_doppler(self, tracks: Tracks, rows: Int[np.ndarray, " k"], detections: DetectionBatch) -> None:
+    def _update_doppler(self, tracks: Tracks, track_rows: Int[np.ndarray, " k"], detections: DetectionBatch) -> None:
         sigma, span = self.settings.doppler_sigma_m_s, self.settings.doppler_span_m_s
         if detections.radial is not None and sigma is not None:
             range_m = np.hypot(*detections.ray_m.T)
-            update_doppler(tracks, rows, detections.radial, range_m, sigma_m_s=sigma, span_m_s=span)
+            update_doppler(tracks, track_rows, detections.radial, range_m, sigma_m_s=sigma, span_m_s=span)
 
     def _variance(self, ray_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
         """Variances of detected positions: the same for all, or by range and direction."""
@@ -335,13 +343,13 @@ class TrackEngine:
             drive=detections.drive,
             track_id=track_id,
             label=detections.label,
-            position_m=detections.rows[:, :3].copy(),
+            position_m=detections.boxes[:, :3].copy(),
             velocity=velocity,
             position_var=variance,
             position_velocity_cov=np.zeros((n, 3)),
             velocity_var=np.full((n, 3), settings.initial_speed_variance),
-            size_m=detections.rows[:, 3:6].copy(),
-            yaw_rad=detections.rows[:, 6].copy(),
+            size_m=detections.boxes[:, 3:6].copy(),
+            yaw_rad=detections.boxes[:, 6].copy(),
             shape_var=variance[:, 0].copy(),
             hits=np.ones(n, dtype=np.int64),
             misses=np.zeros(n, dtype=np.int64),
@@ -379,10 +387,10 @@ class TrackEngine:
         return np.where(self.tracks.range_m >= self.settings.far_m, getattr(self.settings, f"far_{name}"), near)
 
 
-def _centred(rows: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 7"]:
-    """Rows of bottoms' centres as rows of centres."""
-    centred = rows.copy()
-    centred[:, 2] += rows[:, 5] / 2
+def _centred(box_rows: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 7"]:
+    """Boxes given by the centres of their bottoms, as boxes given by their centres."""
+    centred = box_rows.copy()
+    centred[:, 2] += box_rows[:, 5] / 2
     return centred
 
 
@@ -413,11 +421,13 @@ class _DetectionTable:
                     columns["radial"][:, 3:6] = drive.sensor_velocity_m_s[number]
                     frames.append(columns)
         table = {name: np.concatenate([columns[name] for columns in frames]) for name in frames[0]}
-        order = np.lexsort([table["rows"][:, 1], table["rows"][:, 0], -table["score"], table["drive"], table["number"]])
+        order = np.lexsort(
+            [table["boxes"][:, 1], table["boxes"][:, 0], -table["score"], table["drive"], table["number"]]
+        )
         self.columns = {name: values[order] for name, values in table.items()}
         longest = max((len(drive.keys) for drive in drives), default=0)
         self.start = np.searchsorted(self.columns["number"], np.arange(longest + 1))
-        names = ("drive", "rows", "velocity_m_s", "ray_m", "score", "label", "radial")
+        names = ("drive", "boxes", "velocity_m_s", "ray_m", "score", "label", "radial")
         self.detections = DetectionBatch(**{name: self.columns[name] for name in names}, source=np.arange(len(order)))
 
     def frame(self, number: int) -> DetectionBatch:
@@ -438,15 +448,15 @@ class _DetectionTable:
         return boxes, box_px
 
     def _boxes(self, tracks: Tracks, drive: int, number: int) -> Boxes:
-        rows = np.column_stack([tracks.position_m, tracks.size_m, tracks.yaw_rad])
+        box_rows = np.column_stack([tracks.position_m, tracks.size_m, tracks.yaw_rad])
         if self.settings.output == "detection":
-            rows = np.where((tracks.misses == 0)[:, None], self.detections.rows[tracks.source], rows)
+            box_rows = np.where((tracks.misses == 0)[:, None], self.detections.boxes[tracks.source], box_rows)
         if self.settings.anchor == "bottom":
-            rows[:, 2] += rows[:, 5] / 2
+            box_rows[:, 2] += box_rows[:, 5] / 2
         boxes = Boxes(
-            centre_m=rows[:, :3],
-            size_m=np.maximum(rows[:, 3:6], 1e-3),
-            yaw_rad=rows[:, 6],
+            centre_m=box_rows[:, :3],
+            size_m=np.maximum(box_rows[:, 3:6], 1e-3),
+            yaw_rad=box_rows[:, 6],
             label=[self.labels[number] for number in tracks.label.tolist()],
             score=tracks.score,
             track_id=tracks.track_id,
@@ -478,14 +488,14 @@ def _frame_rows(
     if pose is not None:
         ray = ray @ pose[:3, :3].T
         boxes = boxes.transform(pose)
-    rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
+    box_rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
     if settings.anchor == "bottom":
-        rows[:, 2] -= rows[:, 5] / 2
+        box_rows[:, 2] -= box_rows[:, 5] / 2
     velocity = np.zeros((len(boxes), 2)) if boxes.velocity_m_s is None else np.nan_to_num(boxes.velocity_m_s[:, :2])
     return {
         "drive": np.full(len(boxes), drive),
         "number": np.full(len(boxes), number),
-        "rows": rows,
+        "boxes": box_rows,
         "velocity_m_s": velocity,
         "ray_m": ray[:, :2],
         "score": score,
