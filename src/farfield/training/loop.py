@@ -114,35 +114,39 @@ class Training:
         """
         fabric = self._start(report)
         with self._interruption_reported(), stop_signals() as stop:
-            # 1. Sample: frames of each stream, changed at random by position alone
+            # 1. Sample: frames of each stream, augmented by a seed of the sample's position: a resumed run repeats them
             for samples in self._batches(fabric):
                 set_rates(self._optimizer, one_cycle(self.step, self.config))
                 with fitting(_TOO_LARGE):
                     self._seed_torch(fabric.global_rank)
                     batch = {name: to_batch(part, fabric) for name, part in samples.items()}
+                    # A method whose players take turns minimises by itself; None: the loop minimises
                     with fabric.autocast():
-                        # A method whose players take turns minimises by itself, as often as it likes
-                        turns = self.method.step(batch, self.step, self._minimise)
+                        own_losses = self.method.step(batch, self.step, self._minimise)
+                    if own_losses is not None:
+                        losses = own_losses
+                    else:
                         # 2. Forward and 3. losses: the method's
-                        losses = self.method.losses(batch, self.step) if turns is None else turns
-                    if turns is None:
-                        # 4. Backward, 5. clip, 6. step
+                        with fabric.autocast():
+                            losses = self.method.losses(batch, self.step)
+                        # 4 to 6, as _minimise says
                         self._minimise(losses, tuple(self.modules))
                     figures = _mean_over_processes(losses, fabric)
-                # 7. Average: of weights and statistics, and a teacher's
+                # 7. Average: of weights and statistics, then the method's own, such as a teacher's
                 frozen = [f"{DETECTOR}.{part}" for part in self._frozen or ()]
                 decay = self.config.average_decay
                 follow(self._average, self.modules.state_dict(), step=self.step, decay=decay, frozen=frozen)
                 self.method.after_step(self.step)
-                self.step += 1
+                self.step += 1  # from here: steps done
+                # Thaw what this step has freed, and put what trains into training mode
                 self._freeze()
                 stopped = stop.requested(fabric.device)
-                held = {} if stopped else self._inspect(fabric)
+                held_figures = {} if stopped else self._inspect(fabric)
                 if fabric.is_global_zero:
                     # 8. Validate: the averaged weights, where it is due
-                    held = held if stopped else {**held, **self._validate()}
+                    held_figures = held_figures if stopped else {**held_figures, **self._validate()}
                     # 9. Log
-                    self._log(figures, held)
+                    self._log(figures, held_figures)
                     # 10. Checkpoint: now and then, and as the run stops
                     if stopped or time.monotonic() - self._saved_s > self.config.checkpoint_every_s:
                         self._save()
@@ -151,7 +155,7 @@ class Training:
                     self._report.say(
                         f"stopped after step {self.step} of {self.config.steps}; {self.checkpoint_path} keeps it"
                     )
-                    stop.follow()
+                    stop.end_run()
         if fabric.is_global_zero:
             self._save()
             self._export()
@@ -173,7 +177,8 @@ class Training:
         groups = self._groups(names)
         parameters = [parameter for members, _ in groups for parameter in members]
         chosen = {id(parameter) for parameter in parameters}
-        # 4. Backward, in float32; what is not chosen gets no gradient, and every process the mean of all
+        # 4. Backward, in float32; what is not chosen gets no gradient, and every process the mean of all. That mean is
+        # taken here, since DistributedDataParallel demands that every process use every parameter
         self.modules.zero_grad(set_to_none=True)
         with torch.autocast(parameters[0].device.type, enabled=False):
             total_of(losses).backward()
@@ -182,7 +187,8 @@ class Training:
                 parameter.grad = None
         average_gradients(parameters)
         lay_out_gradients(parameters)
-        # 5. Clip: the norm over all modules that are trained alike
+        # 5. Clip: the norm over all modules that are trained alike; one that is not finite ends the run, on purpose,
+        # before it reaches the weights and the averages
         for members, group in groups:
             nn.utils.clip_grad_norm_(members, group.clip, error_if_nonfinite=True)
         # 6. Step
@@ -260,7 +266,10 @@ class Training:
         torch.manual_seed(int(entropy.generate_state(1)[0]))
 
     def _freeze(self) -> None:
-        """Training mode and gradients, but for what is frozen now: there batch normalisation keeps its statistics."""
+        """Put all into training mode and let it have gradients, but for what is frozen now.
+
+        There batch normalisation keeps its statistics. Nothing happens where the same is frozen as before.
+        """
         start = self.config.start
         frozen = () if start is None else frozen_now(start.frozen_until, self.step, self.config.steps)
         if self._frozen == frozen:
@@ -352,10 +361,10 @@ class Training:
         """The held-out samples, read once."""
         return {name: [samples[number] for number in range(len(samples))] for name, samples in self.held.items()}
 
-    def _log(self, losses: dict[str, float], held: Mapping[str, float]) -> None:
+    def _log(self, losses: dict[str, float], held_figures: Mapping[str, float]) -> None:
         """Log every step's losses; what the method says besides at some steps, and to TensorBoard then too."""
-        shown = self.step % self.config.log_every_steps == 0 or self.step == self.config.steps or bool(held)
-        figures = {**losses, **(self.method.figures() if shown else {}), **held}
+        shown = self.step % self.config.log_every_steps == 0 or self.step == self.config.steps or bool(held_figures)
+        figures = {**losses, **(self.method.figures() if shown else {}), **held_figures}
         rate = one_cycle(self.step - 1, self.config)
         line = {"step": self.step, "learning_rate": rate, **figures, "time": time.time()}
         with (self.folder / "log.jsonl").open("a") as file:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 import torch
 from lightning_fabric import Fabric
@@ -209,7 +209,7 @@ class StopSignal:
         """Whether any process was asked to stop: all of them hear of it after the same step."""
         return average_values({"requested": float(self.number > 0)}, device)["requested"] > 0
 
-    def follow(self) -> None:
+    def end_run(self) -> NoReturn:
         """End as the signal would have ended it.
 
         Raises:
