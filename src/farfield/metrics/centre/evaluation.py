@@ -79,13 +79,13 @@ def evaluate_centre(
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.
     """
     # 1. Gather the boxes of the class in the region.
-    scene = gather(predictions, annotations, settings, drives)
+    boxes = gather(predictions, annotations, settings, drives)
     # 2, 3. Match them, and rank matches and false positives of the region and of each range bin.
-    parts = rank_parts(scene, settings)
+    parts = rank_parts(boxes, settings)
     # 4. Average over the curves: the figures under weights of 1, and their intervals over draws of the drives.
     figures = partial(part_figures, parts, settings, bins_in_reach(settings, reach_m))
-    point, intervals = point_and_intervals(figures, scene.n_groups, settings.bootstrap)
-    frames = np.union1d(scene.predicted_frame, scene.annotated_frame[~scene.ignored])
+    point, intervals = point_and_intervals(figures, boxes.n_groups, settings.bootstrap)
+    frames = np.union1d(boxes.predicted_frame, boxes.annotated_frame[~boxes.ignored])
     counts = {
         name: {"annotated": part.annotated, "predictions": part.predicted, "ignored": part.ignored}
         for name, part in parts.items()
@@ -99,14 +99,14 @@ def evaluate_centre(
         "ranges": {name: values for name, values in point.items() if name not in ("overall", "mean_of_bins")},
         "mean_of_bins": point["mean_of_bins"],
         "counts": {
-            "frames": len(frames),
-            "frames_given": len(annotations),
+            "frames": len(frames),  # with a prediction or an annotated box that counts
+            "frames_given": len(annotations),  # all annotated ones, empty ones too
             **counts.pop("overall"),
-            "predictions_over_limit": scene.over_limit,
+            "predictions_over_limit": boxes.over_limit,
             "ranges": counts,
         },
         "intervals": intervals,
-        "grouped_by": scene.grouped_by,
+        "grouped_by": boxes.grouped_by,
         "curves": {name: _curves(part, settings) for name, part in parts.items()},
         "notes": tuple(low_recall_notes(parts, point, settings)),
     }
@@ -116,7 +116,7 @@ def evaluate_centre(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CentreScene:
+class CentreBoxes:
     """Predicted and annotated boxes of all frames, with the frame of each.
 
     Args:
@@ -153,8 +153,8 @@ class CentreScene:
         """Marked annotated boxes that are not ignored, by group."""
         return np.bincount(self.group[self.annotated_frame[~self.ignored & mask]], minlength=self.n_groups)
 
-    def cut(self, predicted: Bool[np.ndarray, " n"], annotated: Bool[np.ndarray, " m"]) -> "CentreScene":
-        """Return the scene with the marked boxes only."""
+    def cut(self, predicted: Bool[np.ndarray, " n"], annotated: Bool[np.ndarray, " m"]) -> "CentreBoxes":
+        """Return the marked boxes only."""
         if predicted.all() and annotated.all():
             return self
         return replace(
@@ -169,7 +169,7 @@ class CentreScene:
 
 def gather(
     predictions: BoxesByFrame, annotations: BoxesByFrame, settings: CentreSettings, drives: Sequence[Drive] = ()
-) -> CentreScene:
+) -> CentreBoxes:
     """Collect one class from all frames and cut it to the region.
 
     Args:
@@ -183,50 +183,49 @@ def gather(
     """
     check_frames(predictions, annotations)
     keys = sorted(annotations, key=frame_order)
-    counts = np.zeros((2, len(keys)), dtype=np.int64)  # predictions that count, those over the limit
-    predicted = flatten(_counted_predictions(predictions, keys, settings, counts), scored=True)
+    # flatten takes one frame at a time, since they may lie on the disk; the stream counts what it passes on
+    stream = _PredictionStream(predictions, keys, settings)
+    predicted = flatten(stream, scored=True)
     annotated = flatten((annotations[key] for key in keys), scored=False)
     annotated_frame = np.repeat(np.arange(len(keys)), [len(annotations[key].yaw_rad) for key in keys])
     ignored = np.zeros(len(annotated), dtype=bool)
     for name in settings.ignore:
         ignored |= has_label(annotated, name, settings.relabel)
     counted = has_label(annotated, settings.label, settings.relabel) | ignored
-    counted &= _enough_points(annotated, settings.min_points)
+    counted &= _enough_points(annotated, settings.min_points)  # ignored ones go too: predictions there are then false
     group, grouped_by = group_frames(keys, drives)
-    scene = CentreScene(
+    boxes = CentreBoxes(
         predicted=predicted,
-        predicted_frame=np.repeat(np.arange(len(keys)), counts[0]),
+        predicted_frame=np.repeat(np.arange(len(keys)), stream.per_frame),
         annotated=annotated,
         annotated_frame=annotated_frame,
         ignored=ignored,
         group=group,
         grouped_by=grouped_by,
-        over_limit=int(counts[1].sum()),
+        over_limit=stream.over_limit,
     )
-    return scene.cut(np.ones(len(predicted), dtype=bool), counted & in_region(annotated, settings))
+    return boxes.cut(np.ones(len(predicted), dtype=bool), counted & in_region(annotated, settings))
 
 
-def _counted_predictions(
-    predictions: BoxesByFrame, keys: Sequence[Key], settings: CentreSettings, counts: Int[np.ndarray, "2 frames"]
-) -> Iterator[Boxes]:
-    """The predictions of each frame that count, and how many those are and how many were over the limit."""
-    for frame, key in enumerate(keys):
-        if key in predictions:
-            boxes = predictions[key]
-            check_scores(boxes)
-            mask = _highest_scores(boxes, settings.max_boxes)
-            counts[1, frame] = len(boxes) - np.count_nonzero(mask)
-            mask &= has_label(boxes, settings.label, settings.relabel) & in_region(boxes, settings)
-            counts[0, frame] = np.count_nonzero(mask)
-            yield boxes[mask]
+class _PredictionStream:
+    """The predictions that count, frame by frame; at its end, how many per frame, and how many were over the limit."""
 
+    def __init__(self, predictions: BoxesByFrame, keys: Sequence[Key], settings: CentreSettings) -> None:
+        self.predictions, self.keys, self.settings = predictions, keys, settings
+        self.per_frame, self.over_limit = np.zeros(len(keys), dtype=np.int64), 0
 
-def _highest_scores(boxes: Boxes, limit: int) -> Bool[np.ndarray, " n"]:
-    """Which boxes of a frame are among its best by score."""
-    mask = np.ones(len(boxes), dtype=bool)
-    if len(boxes) > limit and boxes.score is not None:
-        mask[np.argsort(-boxes.score, kind="stable")[limit:]] = False
-    return mask
+    def __iter__(self) -> Iterator[Boxes]:
+        for frame, key in enumerate(self.keys):
+            if key in self.predictions:
+                boxes = self.predictions[key]
+                check_scores(boxes)
+                mask = np.ones(len(boxes), dtype=bool)
+                if len(boxes) > self.settings.max_boxes and boxes.score is not None:
+                    mask[np.argsort(-boxes.score, kind="stable")[self.settings.max_boxes :]] = False
+                self.over_limit += len(boxes) - int(np.count_nonzero(mask))
+                mask &= has_label(boxes, self.settings.label, self.settings.relabel) & in_region(boxes, self.settings)
+                self.per_frame[frame] = np.count_nonzero(mask)
+                yield boxes[mask]
 
 
 def _enough_points(boxes: Boxes, least: int) -> Bool[np.ndarray, " n"]:
@@ -242,7 +241,7 @@ def _enough_points(boxes: Boxes, least: int) -> Bool[np.ndarray, " n"]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GreedyMatches:
-    """What each prediction of a scene matches, for every epsilon and threshold.
+    """What each prediction matches, for every epsilon and threshold.
 
     Args:
         order: Predictions by falling score, shape (n,).
@@ -255,9 +254,9 @@ class GreedyMatches:
     assigned: dict[Variant, Int[np.ndarray, " n"]]
 
 
-def with_confidences(scene: CentreScene, settings: CentreSettings) -> CentreScene:
-    """Put the scores on the confidence axis, where zero means "nothing" (row 17)."""
-    score = scene.score
+def with_confidences(boxes: CentreBoxes, settings: CentreSettings) -> CentreBoxes:
+    """Put the scores on the confidence axis, where zero means "nothing" (docs/metrics.md, row 17)."""
+    score = boxes.score
     kind = settings.scores
     if kind == "auto":
         kind = "sigmoid" if len(score) and (score.min() < 0 or score.max() > 1) else "raw"
@@ -266,33 +265,33 @@ def with_confidences(scene: CentreScene, settings: CentreSettings) -> CentreScen
         score = (index + 1.0) / max(len(values), 1)
     elif kind == "sigmoid":
         score = np.exp(-np.logaddexp(0.0, -score))
-    return replace(scene, predicted=scene.predicted.replace(score=score))
+    return replace(boxes, predicted=boxes.predicted.replace(score=score))
 
 
-def match_scene(scene: CentreScene, settings: CentreSettings) -> GreedyMatches:
-    """Match a scene greedily by centre distance for all epsilons and thresholds at once."""
+def match_boxes(boxes: CentreBoxes, settings: CentreSettings) -> GreedyMatches:
+    """Match greedily by centre distance for all epsilons and thresholds at once."""
     variants = [(epsilon, threshold) for epsilon in settings.epsilons for threshold in settings.all_thresholds_m]
-    epsilon = np.array([variant[0] for variant in variants])[:, None]
+    epsilons, thresholds_m = (np.array(column) for column in zip(*variants, strict=True))
     by_annotated = settings.omega_range == "gt"
-    omega = np.exp(epsilon * (scene.annotated if by_annotated else scene.predicted).range_m)
+    omega = np.exp(epsilons[:, None] * (boxes.annotated if by_annotated else boxes.predicted).range_m)
     limits = Limits(
-        threshold_m=np.array([variant[1] for variant in variants]),
+        threshold_m=thresholds_m,
         omega_annotated=omega if by_annotated else None,
         omega_predicted=None if by_annotated else omega,
         normalised=settings.match == "nearest_normalised",
     )
     axes = 3 if settings.distance == "3d" else 2
-    order = rank_predictions(scene.score, scene.predicted_frame, ties=settings.ties)
+    order = rank_predictions(boxes.score, boxes.predicted_frame, ties=settings.ties)
     assigned = greedy_match(
-        scene.predicted.centre_m[:, :axes],
-        scene.predicted_frame,
+        boxes.predicted.centre_m[:, :axes],
+        boxes.predicted_frame,
         order,
-        scene.annotated.centre_m[:, :axes],
-        scene.annotated_frame,
+        boxes.annotated.centre_m[:, :axes],
+        boxes.annotated_frame,
         limits,
-        ignored=scene.ignored,
+        ignored=boxes.ignored,
     )
-    return GreedyMatches(order=order, confidence=scene.score, assigned=dict(zip(variants, assigned, strict=True)))
+    return GreedyMatches(order=order, confidence=boxes.score, assigned=dict(zip(variants, assigned, strict=True)))
 
 
 # Step 3: rank
@@ -300,7 +299,7 @@ def match_scene(scene: CentreScene, settings: CentreSettings) -> GreedyMatches:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PartRankings:
-    """The rankings of one part of a scene (a range bin, or all of it), with the errors of the matches.
+    """The rankings of one part (a range bin, or the whole region), with the errors of the matches.
 
     Args:
         ranking: By (epsilon, threshold).
@@ -317,69 +316,70 @@ class PartRankings:
     predicted: int
 
 
-def rank_parts(scene: CentreScene, settings: CentreSettings) -> dict[str, PartRankings]:
+def rank_parts(boxes: CentreBoxes, settings: CentreSettings) -> dict[str, PartRankings]:
     """The rankings of the region, ``"overall"``, and of each range bin, such as ``"0-70"``.
 
     A bin is cut out and matched by itself, or the region is matched once and its matches are shared out
     (``settings.range_assign``).
     """
-    scene = with_confidences(scene, settings)
-    matches = match_scene(scene, settings)
-    parts = {"overall": rank(scene, matches, settings)}
+    boxes = with_confidences(boxes, settings)
+    matches = match_boxes(boxes, settings)
+    parts = {"overall": rank(boxes, matches, settings)}
     for low_m, high_m in settings.bins_m:
         name = f"{low_m:g}-{high_m:g}"
-        predicted_in = in_range(scene.predicted, low_m, high_m)
-        annotated_in = in_range(scene.annotated, low_m, high_m)
+        predicted_in = in_range(boxes.predicted, low_m, high_m)
+        annotated_in = in_range(boxes.annotated, low_m, high_m)
         if settings.range_assign == "match_then_bin":
-            parts[name] = rank(scene, matches, settings, predicted_in, annotated_in)
+            parts[name] = rank(boxes, matches, settings, predicted_in, annotated_in)
         elif predicted_in.all() and annotated_in.all():
             parts[name] = parts["overall"]
         else:
-            inside = scene.cut(predicted_in, annotated_in)
-            parts[name] = rank(inside, match_scene(inside, settings), settings)
+            inside = boxes.cut(predicted_in, annotated_in)
+            parts[name] = rank(inside, match_boxes(inside, settings), settings)
     return parts
 
 
 def rank(
-    scene: CentreScene,
+    boxes: CentreBoxes,
     matches: GreedyMatches,
     settings: CentreSettings,
     predicted_in: Bool[np.ndarray, " n"] | None = None,
     annotated_in: Bool[np.ndarray, " m"] | None = None,
 ) -> PartRankings:
-    """Rank the predictions of a matched scene, or of a range bin of it.
+    """Rank the matched predictions of the region, or of a range bin of it.
 
     A match counts where its annotated box is, a false positive where it is itself; predictions on ignored boxes count
     nowhere.
 
     Args:
-        scene: The scene.
+        boxes: Predicted and annotated boxes, with confidences.
         matches: What its predictions match.
         settings: The options.
         predicted_in: Predictions inside the bin; None: all.
         annotated_in: Annotated boxes inside the bin; None: all.
     """
-    predicted_in = np.ones(len(scene.predicted), dtype=bool) if predicted_in is None else predicted_in
-    annotated_in = np.ones(len(scene.annotated), dtype=bool) if annotated_in is None else annotated_in
-    per_group = scene.annotated_per_group(annotated_in)
-    group = scene.group[scene.predicted_frame]
+    predicted_in = np.ones(len(boxes.predicted), dtype=bool) if predicted_in is None else predicted_in
+    annotated_in = np.ones(len(boxes.annotated), dtype=bool) if annotated_in is None else annotated_in
+    per_group = boxes.annotated_per_group(annotated_in)
+    group = boxes.group[boxes.predicted_frame]
     rankings, errors = {}, {}
-    for variant, assigned in matches.assigned.items():
+    for (epsilon, threshold_m), assigned in matches.assigned.items():
         is_match = assigned >= 0
         is_inside = predicted_in.copy()
         is_inside[is_match] = annotated_in[assigned[is_match]]
+        # What counts here, by falling score: the mask is put into that order, then picks from the order
         rows = matches.order[(is_inside & (assigned != DROPPED))[matches.order]]
-        rankings[variant] = Ranking(
+        rankings[epsilon, threshold_m] = Ranking(
             confidence=matches.confidence[rows], is_match=is_match[rows], group=group[rows], annotated=per_group
         )
-        if variant[1] in settings.error_thresholds_m:
+        if threshold_m in settings.error_thresholds_m:
             rows = rows[is_match[rows]]
-            errors[variant] = pair_errors(scene.predicted[rows], scene.annotated[assigned[rows]], settings)
+            errors[epsilon, threshold_m] = pair_errors(boxes.predicted[rows], boxes.annotated[assigned[rows]], settings)
     return PartRankings(
         ranking=rankings,
         error=errors,
         annotated=int(per_group.sum()),
-        ignored=int((scene.ignored & annotated_in).sum()),
+        ignored=int((boxes.ignored & annotated_in).sum()),
         predicted=int(predicted_in.sum()),
     )
 
@@ -550,12 +550,12 @@ def object_intervals(
     Raises:
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.
     """
-    scene = with_confidences(gather(predictions, annotations, settings), settings)
-    part, count = _rank_by_object(scene, match_scene(scene, settings), settings, _object_of_box(scene, annotations))
+    boxes = with_confidences(gather(predictions, annotations, settings), settings)
+    part, count = _rank_by_object(boxes, match_boxes(boxes, settings), settings, _object_of_box(boxes, annotations))
     drawing = bootstrap or settings.bootstrap
     if count < 2 or drawing.replicates < 2:
-        names = figures_of_part(part, settings, np.ones((1, count + 1)))
-        return ObjectIntervals(objects=count, intervals=dict.fromkeys(names))
+        figures = figures_of_part(part, settings, np.ones((1, count + 1)))
+        return ObjectIntervals(objects=count, intervals=dict.fromkeys(figures))
     drawn = replicate_weights(count, drawing.replicates, np.random.default_rng(drawing.seed))
     weights = np.column_stack([drawn, np.ones(len(drawn))])  # the last group is that of false positives
     spans = {
@@ -567,28 +567,28 @@ def object_intervals(
     )
 
 
-def _object_of_box(scene: CentreScene, annotations: BoxesByFrame) -> Int[np.ndarray, " m"]:
-    """A number of the object of each annotated box of the scene: boxes there are known by frame and centre."""
+def _object_of_box(boxes: CentreBoxes, annotations: BoxesByFrame) -> Int[np.ndarray, " m"]:
+    """A number of the object of each gathered annotated box: boxes there are known by frame and centre."""
     number_of: dict[tuple[str, int], int] = {}
     by_centre: dict[tuple[int, bytes], int] = {}
     for frame, key in enumerate(sorted(annotations, key=frame_order)):
-        boxes = annotations[key]
-        track_id = np.full(len(boxes), -1) if boxes.track_id is None else boxes.track_id
+        frame_boxes = annotations[key]
+        track_id = np.full(len(frame_boxes), -1) if frame_boxes.track_id is None else frame_boxes.track_id
         for row, track in enumerate(track_id.tolist()):
             identity = (f"{key} {row}", -1) if track < 0 else (key[0], track)
-            by_centre[frame, boxes.centre_m[row].tobytes()] = number_of.setdefault(identity, len(number_of))
-    rows = zip(scene.annotated_frame.tolist(), scene.annotated.centre_m, strict=True)
+            by_centre[frame, frame_boxes.centre_m[row].tobytes()] = number_of.setdefault(identity, len(number_of))
+    rows = zip(boxes.annotated_frame.tolist(), boxes.annotated.centre_m, strict=True)
     return np.array([by_centre[frame, centre.tobytes()] for frame, centre in rows], dtype=np.int64)
 
 
 def _rank_by_object(
-    scene: CentreScene, matches: GreedyMatches, settings: CentreSettings, object_of_box: Int[np.ndarray, " m"]
+    boxes: CentreBoxes, matches: GreedyMatches, settings: CentreSettings, object_of_box: Int[np.ndarray, " m"]
 ) -> tuple[PartRankings, int]:
-    """All of the scene as one part whose groups are the objects, and how many these are."""
-    part = rank(scene, matches, settings)
-    objects = np.unique(object_of_box[~scene.ignored])
+    """The whole region as one part whose groups are the objects, and how many these are."""
+    part = rank(boxes, matches, settings)
+    objects = np.unique(object_of_box[~boxes.ignored])
     number = np.searchsorted(objects, object_of_box)  # of ignored boxes' objects: never read, as they are dropped
-    annotated = np.append(np.bincount(number[~scene.ignored], minlength=len(objects)), 0)
+    annotated = np.append(np.bincount(number[~boxes.ignored], minlength=len(objects)), 0)
     rankings = {}
     for variant, ranking in part.ranking.items():
         assigned = matches.assigned[variant]

@@ -61,13 +61,13 @@ class CentreProtocol(Protocol):
 
     def weighted(self, detections: Detections, settings: CentreSettings) -> Weighted:
         """The figures of the region, of each bin and the mean of the bins as functions of group weights."""
-        scene = gather(detections.boxes, detections.annotated, settings, detections.drives)
-        parts = rank_parts(scene, settings)
+        boxes = gather(detections.boxes, detections.annotated, settings, detections.drives)
+        parts = rank_parts(boxes, settings)
         figures = {name: partial(figures_of_part, part, settings) for name, part in parts.items()}
         reached = {name: parts[name] for name in bins_in_reach(settings, detections.reach_m)}
         mean = partial(_mean_of_bins, reached, settings)
-        groups = tuple(scene.group.tolist())
-        return Weighted(parts={**figures, "mean_of_bins": mean}, groups=groups, grouped_by=scene.grouped_by)
+        groups = tuple(boxes.group.tolist())
+        return Weighted(parts={**figures, "mean_of_bins": mean}, groups=groups, grouped_by=boxes.grouped_by)
 
 
 def _mean_of_bins(

@@ -20,7 +20,7 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Annotation, Boxes, Key
 from farfield.metrics import PROTOCOLS, Detections, Protocol
 from farfield.metrics.box_files import read_predictions
-from farfield.metrics.centre.evaluation import gather, match_scene
+from farfield.metrics.centre.evaluation import gather, match_boxes
 from farfield.metrics.centre.matching import DROPPED
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.kitti.evaluation import KittiSettings, gather_kitti
@@ -226,11 +226,11 @@ def _by(protocol: Protocol, detections: Detections, settings: Any) -> Iterator[_
 
 
 def _by_centre(detections: Detections, settings: CentreSettings) -> _ClassVerdicts:
-    scene = gather(detections.boxes, detections.annotated, settings)
-    matches = match_scene(scene, settings).assigned[settings.epsilons[0], settings.error_thresholds_m[-1]]
+    boxes = gather(detections.boxes, detections.annotated, settings)
+    matches = match_boxes(boxes, settings).assigned[settings.epsilons[0], settings.error_thresholds_m[-1]]
     verdict = np.where(matches >= 0, MATCHED, np.where(matches == DROPPED, IGNORED, FALSE))
     truth = np.where(matches >= 0, matches, -1)
-    return _ClassVerdicts(_numbers(scene.predicted), _numbers(scene.annotated), verdict, truth, ~scene.ignored)
+    return _ClassVerdicts(_numbers(boxes.predicted), _numbers(boxes.annotated), verdict, truth, ~boxes.ignored)
 
 
 def _by_kradar(detections: Detections, settings: KRadarSettings) -> Iterator[_ClassVerdicts]:
