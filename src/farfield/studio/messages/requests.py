@@ -300,6 +300,23 @@ class MatchList:
 Edit = BoxSet | BoxAdd | BoxDelete | TrackSet | TrackMerge | TrackSplit | TrackInterpolate | TrackPropagate
 """What changes the annotation, and is answered by ack, conflict or refused."""
 
+
+def frame_of(edit: Edit) -> int | None:
+    """A frame of the drive that an edit changes; None where it names a track alone."""
+    match edit:
+        case BoxSet() | BoxAdd() | BoxDelete() | TrackSplit():
+            return edit.frame
+        case TrackInterpolate() | TrackPropagate():
+            return edit.first
+        case TrackSet() | TrackMerge():
+            return None
+
+
+def group_of(edit: Edit) -> str | None:
+    """What joins an edit with others that undo together; only edits of boxes have it."""
+    return edit.group if isinstance(edit, BoxSet | BoxAdd | BoxDelete) else None
+
+
 Request = Annotated[
     Hello
     | FrameOpen

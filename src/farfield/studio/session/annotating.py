@@ -1,7 +1,16 @@
 """What windows that annotate ask for: edits, undo, fits, checks, saves.
 
-An edit goes from its handler to the store and its journal, and is acknowledged once it is on the disk: the function
-that is registered for its class says what it changes, and :func:`edit` does the rest for all of them.
+The path of an edit to the disk:
+
+    1. :func:`edit`           the handler of all edits, binds the plan of the message's class (:class:`plans`)
+    2. :func:`_commit`        hands it to the one thread that edits, so that edits keep their order
+    3. ``Store.edit``         calls the plan under its lock: the cells that change, or a refusal or conflict
+    4. ``EditJournal.append`` numbers the edit and lets it wait for the journal's own thread
+    5. ``EditJournal._write`` writes all that wait, calls fsync once for them, and resolves their futures
+    6. :func:`_acknowledge`   waits for the edit's future, sends the ack, and tells the other windows
+
+A RefusedError or JournalError of any step is answered as ``refused`` by ``Session.handle``, or by ``Session.aside`` in
+what goes on beside further messages; a ConflictError is answered by :func:`_commit`.
 """
 
 import asyncio
@@ -9,7 +18,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from farfield.annotation import notes
 from farfield.annotation.edits import (
@@ -41,14 +50,15 @@ _PAUSE_S, _LONGEST_S = 0.05, 1.0  # without edits before a frame is checked, and
 _EDITS_SAFE = "your edits are safe in the journal; fix the cause and save again"
 
 P = TypeVar("P", bound=Callable[..., Sequence[CellEdit]])
+R = TypeVar("R", bound=requests.Edit)
 
 
 @dataclass(frozen=True)
 class plans:  # noqa: N801 - a decorator
     """Register the decorated function as what an edit changes.
 
-    It is called with the store, the message, the drive that the window shows and the annotation, and gives the cells
-    that change. It runs under the store's lock: a message that comes again is answered without it.
+    It is called with the store and the :class:`PlannedEdit`, and gives the cells that change. It runs under the store's
+    lock: a message that comes again is answered without it.
 
     Args:
         message: The class of messages.
@@ -62,15 +72,45 @@ class plans:  # noqa: N801 - a decorator
         return plan
 
 
+@dataclass(frozen=True)
+class PlannedEdit(Generic[R]):
+    """An edit that a window asks for, with the plan of its class.
+
+    Args:
+        plan: Finds the cells that change, from the store as it stands.
+        request: The message.
+        drive: The drive to which its tracks belong.
+        annotation: The annotation that it changes.
+    """
+
+    plan: Callable[[Store, "PlannedEdit[R]"], Sequence[CellEdit]]
+    request: R
+    drive: str
+    annotation: AnnotationService
+
+    def make(self, author: Author) -> EditResult:
+        """Change the store and append to its journal."""
+        request = self.request
+        return self.annotation.store.edit(
+            author, request.id, request.op, self.changes, group=requests.group_of(request)
+        )
+
+    def changes(self, store: Store) -> Sequence[CellEdit]:
+        """The cells that change; the store calls it under its lock."""
+        return self.plan(store, self)
+
+    def track_name(self, number: int) -> str:
+        """The track that the page knows by a number."""
+        return self.annotation.numbers.name(number)
+
+
 async def edit(
     plan: Callable[..., Sequence[CellEdit]], session: Session, window: ClientWindow, request: requests.Edit
 ) -> None:
     """Make an edit; it is acknowledged once it is on the disk."""
     annotation = session.annotation
-    bound = partial(plan, request=request, drive=_drive(session, window, request), annotation=annotation)
-    group = getattr(request, "group", None)
-    work = partial(annotation.store.edit, _author(window), request.id, request.op, bound, group=group)
-    await _commit(session, window, request.id, work)
+    planned = PlannedEdit(plan, request, _drive(session, window, request), annotation)
+    await _commit(session, window, request.id, partial(planned.make, _author(window)))
 
 
 def _author(window: ClientWindow) -> Author:
@@ -79,7 +119,8 @@ def _author(window: ClientWindow) -> Author:
 
 def _drive(session: Session, window: ClientWindow, request: requests.Edit) -> str:
     """The drive to which the tracks of an edit belong: that of its frame, else of the one that the window shows."""
-    frame = getattr(request, "frame", getattr(request, "first", window.frame or 0))
+    frame = requests.frame_of(request)
+    frame = (window.frame or 0) if frame is None else frame
     session.opened.check(frame)
     return session.annotation.drive_of(frame)
 
@@ -115,35 +156,32 @@ def _value(value: BoxValue, annotation: AnnotationService) -> dict[str, Any]:
 
 
 @plans(requests.BoxSet)
-def _box_set(store: Store, request: requests.BoxSet, drive: str, annotation: AnnotationService) -> Sequence[CellEdit]:
-    del drive
-    value = _value(request.value, annotation)
+def _box_set(store: Store, planned: PlannedEdit[requests.BoxSet]) -> Sequence[CellEdit]:
+    request = planned.request
+    value = _value(request.value, planned.annotation)
     return set_box(store, _key(store, request.frame), request.box, request.base, value)
 
 
 @plans(requests.BoxAdd)
-def _box_add(store: Store, request: requests.BoxAdd, drive: str, annotation: AnnotationService) -> Sequence[CellEdit]:
-    del drive
-    return add_box(store, _key(store, request.frame), request.box, _value(request.value, annotation))
+def _box_add(store: Store, planned: PlannedEdit[requests.BoxAdd]) -> Sequence[CellEdit]:
+    request = planned.request
+    return add_box(store, _key(store, request.frame), request.box, _value(request.value, planned.annotation))
 
 
 @plans(requests.BoxDelete)
-def _box_delete(
-    store: Store, request: requests.BoxDelete, drive: str, annotation: AnnotationService
-) -> Sequence[CellEdit]:
-    del drive, annotation
+def _box_delete(store: Store, planned: PlannedEdit[requests.BoxDelete]) -> Sequence[CellEdit]:
+    request = planned.request
     return delete_box(store, _key(store, request.frame), request.box, request.base)
 
 
 @plans(requests.TrackSet)
-def _track_set(
-    store: Store, request: requests.TrackSet, drive: str, annotation: AnnotationService
-) -> Sequence[CellEdit]:
+def _track_set(store: Store, planned: PlannedEdit[requests.TrackSet]) -> Sequence[CellEdit]:
+    request = planned.request
     ends = None if request.ends is None else "" if request.ends < 0 else _key(store, request.ends)[1]
     return set_track(
         store,
-        drive,
-        annotation.numbers.name(request.track),
+        planned.drive,
+        planned.track_name(request.track),
         request.base,
         label=request.class_name,
         size=request.size,
@@ -153,27 +191,24 @@ def _track_set(
 
 
 @plans(requests.TrackMerge)
-def _track_merge(
-    store: Store, request: requests.TrackMerge, drive: str, annotation: AnnotationService
-) -> Sequence[CellEdit]:
-    track, into = annotation.numbers.name(request.track), annotation.numbers.name(request.into)
-    return merge_tracks(store, drive, track, into, request.base, request.into_base)
+def _track_merge(store: Store, planned: PlannedEdit[requests.TrackMerge]) -> Sequence[CellEdit]:
+    request = planned.request
+    track, into = planned.track_name(request.track), planned.track_name(request.into)
+    return merge_tracks(store, planned.drive, track, into, request.base, request.into_base)
 
 
 @plans(requests.TrackSplit)
-def _track_split(
-    store: Store, request: requests.TrackSplit, drive: str, annotation: AnnotationService
-) -> Sequence[CellEdit]:
-    track, new_track = annotation.numbers.name(request.track), annotation.numbers.name(request.new_track)
-    return split_track(store, drive, track, _key(store, request.frame)[1], new_track, request.base)
+def _track_split(store: Store, planned: PlannedEdit[requests.TrackSplit]) -> Sequence[CellEdit]:
+    request = planned.request
+    track, new_track = planned.track_name(request.track), planned.track_name(request.new_track)
+    return split_track(store, planned.drive, track, _key(store, request.frame)[1], new_track, request.base)
 
 
 @plans(requests.TrackInterpolate)
-def _track_interpolate(
-    store: Store, request: requests.TrackInterpolate, drive: str, annotation: AnnotationService
-) -> Sequence[CellEdit]:
-    first, last = (_row_in_drive(store, frame, drive) for frame in (request.first, request.last))
-    return interpolate_track(store, drive, annotation.numbers.name(request.track), first, last, request.id)
+def _track_interpolate(store: Store, planned: PlannedEdit[requests.TrackInterpolate]) -> Sequence[CellEdit]:
+    request = planned.request
+    first, last = (_row_in_drive(store, frame, planned.drive) for frame in (request.first, request.last))
+    return interpolate_track(store, planned.drive, planned.track_name(request.track), first, last, request.id)
 
 
 @handles(requests.TrackPropagate)
@@ -201,13 +236,13 @@ def _propagated(
 
 @handles(requests.Undo)
 async def take_back(session: Session, window: ClientWindow, request: requests.Undo) -> None:
-    """Take back the last step."""
+    """Take back the last step: the message undo; :func:`~farfield.annotation.store.undo` does it."""
     await _step(session, window, request, undo)
 
 
 @handles(requests.Redo)
 async def do_again(session: Session, window: ClientWindow, request: requests.Redo) -> None:
-    """Do again what was taken back last."""
+    """Do again what was taken back last: the message redo; :func:`~farfield.annotation.store.redo` does it."""
     await _step(session, window, request, redo)
 
 
@@ -223,7 +258,7 @@ async def _step(
 
 
 async def _commit(session: Session, window: ClientWindow, id: str, work: Callable[[], EditResult]) -> None:
-    """Edits are taken in the order in which they come; that they are on the disk is waited for beside them."""
+    """Edits are taken in the order in which they come; aside, so that others follow, the disk is waited for."""
     annotation = session.annotation
     try:
         result = await annotation.editor.do(work)
@@ -236,13 +271,13 @@ async def _commit(session: Session, window: ClientWindow, id: str, work: Callabl
 async def _acknowledge(session: Session, window: ClientWindow, id: str, result: EditResult) -> None:
     """Once an edit is on the disk: acknowledge it, tell the others, and check the frames that are shown."""
     await asyncio.wrap_future(result.saved)
-    saved_ns = str(time.time_ns())
+    saved_ns = str(time.time_ns())  # text: JavaScript's numbers are exact to 2^53 only
     annotation, record = session.annotation, result.record
     placed, removed, tracks = await session.in_thread(partial(annotation.changed, record))
-    own = next((placement.row for placement in placed), None) if len(record.changes) == 1 else None
+    own_row = next((placement.row for placement in placed), None) if len(record.changes) == 1 else None
     can_undo, can_redo = annotation.undoable(window.annotator)
     window.send(
-        Ack(id=id, seq=record.seq, version=record.seq, saved_ns=saved_ns, row=own, undo=can_undo, redo=can_redo)
+        Ack(id=id, seq=record.seq, version=record.seq, saved_ns=saved_ns, row=own_row, undo=can_undo, redo=can_redo)
     )
     if result.repeated:
         return
@@ -260,7 +295,15 @@ async def _acknowledge(session: Session, window: ClientWindow, id: str, result: 
 
 
 def _tell_windows(session: Session, window: ClientWindow, changed: Changed, *, is_step: bool, alone: bool) -> None:
-    """Tell the other windows of an edit, and its own of what the tool did beyond the box that it sent."""
+    """Tell the other windows of an edit, and its own of what the tool did beyond the box that it sent.
+
+    Args:
+        session: Its windows are told.
+        window: The window that edited.
+        changed: The edit.
+        is_step: Whether it is an undo or redo: the nearest frame that it changes is to be shown.
+        alone: Whether one cell alone changed, which the window has of the acknowledgement already.
+    """
     annotation = session.annotation
     frames = [*(row.frame for row in changed.rows), *(row.frame for row in changed.removed)]
     nearest = min(frames, key=lambda frame: abs(frame - (window.frame or 0)), default=None) if is_step else None

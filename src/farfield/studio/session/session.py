@@ -142,7 +142,7 @@ class Session:
         return await self.threads.do(work)
 
     def aside(self, window: ClientWindow | None, id: str | None, work: Awaitable[None]) -> None:
-        """Let something go on beside further messages.
+        """Let something go on aside, as a task, while further messages are answered.
 
         Args:
             window: Gets a refusal if it fails; None: nobody does.
