@@ -4,6 +4,9 @@
 planes in place of points. The motion between two sweeps is predicted as the last one's, the points of a sweep are moved
 to its reference moment by it where they have times, and what moves by itself is left to the robust weights. Drift is
 bounded by nothing: no loop is closed.
+
+Two steps differ from KISS-ICP: a sweep is voxelised before it is deskewed, so that fewer points are moved, and it is
+deskewed and aligned a second time, with the motion that the first fit gave.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +28,7 @@ _AS_GOOD = 0.9  # standing matches nearly as well as the best motion
 _LOST_SHARE = 0.1
 _LOST_SWEEPS = 5
 _THRESHOLD_M = (1.0, 3.0)
+_KEEP, _LEARN = 0.8, 0.2  # weights of the deviation so far and of the last sweep's, in the running mean
 _FAR_M = 50.0  # where the deviation of a turn is measured
 _MOVED_M, _TURNED_RAD = 0.2, 0.01  # since the map grew last: a car that stands adds nothing
 
@@ -99,18 +103,21 @@ class Odometry:
         self.settings = settings or OdometrySettings()
         self.surfaces = SurfaceMap(self.settings.voxel_m)
         self.pose: Float[np.ndarray, "4 4"] = np.eye(4)
-        self.twist: Float[np.ndarray, " 6"] = np.zeros(6)
+        self.twist: Float[np.ndarray, " 6"] = np.zeros(6)  # rad/s, then m/s, along the sensor's axes: turn, translation
         self.time_s: float | None = None
         self.deviation_m2 = 1.0
         self.lost_in_a_row = 0
         self.map_pose: Float[np.ndarray, "4 4"] = np.eye(4)  # when the map grew last
 
     def register_sweep(self, sweep: OdometrySweep) -> RegistrationResult:
-        """Find the pose of the next sweep of a map that was begun."""
+        """Find the pose of the next sweep of a map that was begun, at another time than the sweep before.
+
+        Sweeps of equal times must not come here: ``times_of`` of :mod:`farfield.odometry.drives` refuses them.
+        """
         assert self.time_s is not None
         before, step_s = self.pose, sweep.time_s - self.time_s
 
-        # Voxelise: one point a voxel.
+        # Crop and voxelise: points in range, one a voxel.
         points_m, offset_s = _voxelise(sweep, self.settings)
 
         # Deskew, with the motion of the sweep before.
@@ -129,21 +136,21 @@ class Odometry:
             self.pose, self.time_s = guess, sweep.time_s
             self.lost_in_a_row += 1
             return RegistrationResult(self.pose, lost=True, matched=fit.matched if fit else 0.0)
-        self.twist = logarithm((invert(before) @ fit.world_T_sensor)[None])[0] / step_s
+        self.twist = _twist_between(before, fit.world_T_sensor, step_s)
 
         # Deskew and align once more, with the motion of this sweep: the car may have braked or turned.
         if offset_s is not None:
             deskewed_m = _deskew(points_m, offset_s, self.twist)
             source_m = deskewed_m[voxel_rows(deskewed_m, self.settings.source_m)]
             refined = align(self.surfaces, source_m, fit.world_T_sensor, threshold_m=threshold_m)
-            if refined is not None:
+            if refined is not None:  # _LOST_SHARE was met by the first fit, from which this one begins
                 fit = refined
-                self.twist = logarithm((invert(before) @ fit.world_T_sensor)[None])[0] / step_s
+                self.twist = _twist_between(before, fit.world_T_sensor, step_s)
 
         # Model deviation, of position and of a turn's effect far away.
         deviation = invert(guess) @ fit.world_T_sensor
         deviation_m = np.linalg.norm(deviation[:3, 3]) + _FAR_M * np.linalg.norm(logarithm(deviation[None])[0, :3])
-        self.deviation_m2 = 0.8 * self.deviation_m2 + 0.2 * float(deviation_m) ** 2
+        self.deviation_m2 = _KEEP * self.deviation_m2 + _LEARN * float(deviation_m) ** 2
         self.pose, self.time_s, self.lost_in_a_row = fit.world_T_sensor, sweep.time_s, 0
 
         # Map update, where the sensor has moved.
@@ -214,6 +221,13 @@ class Odometry:
         self.pose, self.twist, self.map_pose = state["pose"], state["twist"], state["inserted"]
         self.time_s, self.deviation_m2 = float(state["time_s"]), float(state["deviation_m2"])
         self.lost_in_a_row = int(state["lost_in_a_row"])
+
+
+def _twist_between(
+    first: Float[np.ndarray, "4 4"], second: Float[np.ndarray, "4 4"], step_s: float
+) -> Float[np.ndarray, " 6"]:
+    """The constant motion that leads from one pose to another in a time, turn (rad/s) then translation (m/s)."""
+    return logarithm((invert(first) @ second)[None])[0] / step_s
 
 
 def _voxelise(
@@ -333,12 +347,14 @@ def align(
         scale = min(max(_SCALES * float(np.median(np.abs(residual))), _LEAST_SCALE_M), _MOST_SCALE_M)
         weight = 1 / (1 + (residual / scale) ** 2) ** 2
 
-        # Information of each direction, against what scattered normals alone make of it.
+        # Information of each direction, against what scattered normals alone make of it. Turns are scaled by the lever
+        # arm, so that they are metres as translations are, and the two compare.
         arm_m = float(np.sqrt((lever**2).sum(1).mean()))
         jacobian = np.concatenate([np.cross(lever, normal) / arm_m, normal], axis=1)
         weighted = jacobian * weight[:, None]
         information = weighted.T @ jacobian / weight.sum()
         variance = np.maximum(surfaces.normal_variance[voxels], _LEAST_NORMAL_VARIANCE) * weight / weight.sum()
+        # eigh(A, B) gives axes V with V' B V = 1 and V' A V = diag(eigenvalue): V diag(1 / eigenvalue) V' inverts A.
         eigenvalue, axes = eigh(information, _scatter_information(lever / arm_m, variance))
         observed = eigenvalue > LEAST_INFORMATION
 
@@ -353,6 +369,8 @@ def align(
             break
         if (turn_rad < _NEAR_RAD and along_m < _NEAR_M) or iteration > _ITERATIONS // 2:
             stride = 1
+    # Weights, residuals and information belong to the pose before the last step, which is tiny once it has converged.
+    # The stride is 1 by then, so the weights are those of all points that have a pair; a point without one counts as 0.
     blind_axes = axes[:, ~observed] / np.linalg.norm(axes[:, ~observed], axis=0)
     blind = blind_axes.T.reshape(-1, 2, 3) @ pose[:3, :3]
     return AlignmentFit(
