@@ -4,18 +4,23 @@ import inspect
 from pathlib import Path
 
 import farfield
+from farfield.calibration.solving import CalibrationOptions
 from farfield.cli import VERBS
+from farfield.cli._completion import flags_of
+from farfield.simulation.recording import RecordingOptions
 
 SNAPSHOT = Path(__file__).with_name("public_api.txt")
 
 
 def _public_api() -> str:
-    lines = [f"verb {verb}" for verb in sorted(VERBS)]
+    lines = [f"verb {verb} {' '.join(sorted(flags_of(verb)))}" for verb in sorted(VERBS)]
     for name in sorted(farfield.__all__):
         thing = getattr(farfield, name)
         exception = inspect.isclass(thing) and issubclass(thing, Exception)
         names = "" if exception else ", ".join(inspect.signature(thing).parameters)
         lines.append(f"{'class' if inspect.isclass(thing) else 'def'} {name}({names})")
+    for options in (CalibrationOptions, RecordingOptions):  # keywords of calibrate and simulate
+        lines.append(f"options {options.__name__}({', '.join(inspect.signature(options).parameters)})")
     return "\n".join(lines) + "\n"
 
 
