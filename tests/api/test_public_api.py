@@ -19,8 +19,8 @@ def _public_api() -> str:
         exception = inspect.isclass(thing) and issubclass(thing, Exception)
         names = "" if exception else ", ".join(inspect.signature(thing).parameters)
         lines.append(f"{'class' if inspect.isclass(thing) else 'def'} {name}({names})")
-    for options in (CalibrationOptions, RecordingOptions):  # keywords of calibrate and simulate
-        lines.append(f"options {options.__name__}({', '.join(inspect.signature(options).parameters)})")
+    keywords = (CalibrationOptions, RecordingOptions)  # of calibrate and simulate
+    lines += [f"options {kind.__name__}({', '.join(inspect.signature(kind).parameters)})" for kind in keywords]
     return "\n".join(lines) + "\n"
 
 

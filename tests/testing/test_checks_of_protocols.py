@@ -58,7 +58,7 @@ class Infinite(Counting):
         (Constant(), AssertionError, "must score less than perfect ones"),
         (Backwards(), AssertionError, "figure is larger for boxes that are absent"),
         (FirstBox(), AssertionError, "the order of boxes and frames must not matter"),
-        (Infinite(), ValueError, "JSON"),
+        (Infinite(), AssertionError, "must be finite"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, Protocol) else None,
 )
