@@ -16,8 +16,6 @@ EMPTY_WORDS = {"found", "kept", "seen", "known", "told", "given", "each", "place
 """Participles and fillers that name no variable and no argument."""
 
 MOST = {
-    "cli": 80,
-    "errors": 1,  # FileFormatError's keyword
     "studio": 1,  # a field of a message to the page
 }
 """Bindings of such words that a room may still hold, until they are renamed: these numbers only fall."""

@@ -61,8 +61,8 @@ def run(
     from farfield.papers import Reproduction, described
 
     if transfer or seeds is not None:
-        wanted = out or Path("runs") / "reproduce-kradar-transfer"
-        return _transfer(paper, wanted, seeds, workers, plan=plan, page=page, dry_run=dry_run)
+        folder = out or Path("runs") / "reproduce-kradar-transfer"
+        return _transfer(paper, folder, seeds, workers, plan=plan, page=page, dry_run=dry_run)
     reproduction = Reproduction.of(
         paper,
         budget=budget,
