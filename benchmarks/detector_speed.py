@@ -22,9 +22,9 @@ from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.experiments.catalogue import find
 from farfield.experiments.schema import load_experiment
 from farfield.frame import Cloud, Frame
-from farfield.radar.axes import KRADAR_ORIGIN_M
 from farfield.radar.cells import REGIONS, Over
 from farfield.simulation import simulate_sequence
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 TABLE = [f"runs/{n}-cirrus-sim-table" for n in ("pointpillars", "voxelnet", "second", "pointrcnn", "sparsecentre")]
 PUBLISHED = {  # published widths and voxels, on the window of 250 m x 100 m; untrained

@@ -31,8 +31,7 @@ from farfield.metrics import (
     kradar_settings,
 )
 from farfield.metrics.box_files import read
-from farfield.radar.axes import KRADAR_ORIGIN_M
-from farfield.vocabulary.kradar import SEQUENCES
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M, SEQUENCES
 
 ByFrame = dict[tuple[str, str], Boxes]
 KRADAR_CLASSES = ("vehicle", "large_vehicle")

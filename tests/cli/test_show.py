@@ -13,9 +13,10 @@ from farfield.cli import main
 from farfield.datasets.kradar import KRadarWriter
 from farfield.figures.radar import radar_map
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame
-from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
+from farfield.radar.axes import KRADAR_AXES
 from farfield.radar.cells import cells_of_cube
 from farfield.radar.products import zyx_cube
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "kradar.md"
 

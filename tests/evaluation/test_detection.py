@@ -22,9 +22,10 @@ from farfield.errors import ConfigError
 from farfield.evaluation import detect, suitable_clouds
 from farfield.frame import Annotation, Boxes
 from farfield.metrics import Bootstrap
-from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
+from farfield.radar.axes import KRADAR_AXES
 from farfield.radar.cells import cells_of_cube
 from farfield.radar.products import zyx_cube
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 FEW = Bootstrap(replicates=3)
 

@@ -15,7 +15,7 @@ from farfield.metrics import Bootstrap, KRadarSettings, evaluate_kradar, kradar_
 from farfield.metrics.kradar import matching
 from farfield.metrics.kradar.settings import VARIANTS
 from farfield.metrics.recall_sampling import sample_thresholds, sampled_precision
-from farfield.radar.axes import KRADAR_ORIGIN_M
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 from .scenes import NO_BOOTSTRAP, ByFrame, as_predictions, boxes, car
 

@@ -13,9 +13,9 @@ from farfield.frame import Camera, Frame
 from farfield.frame.provenance import is_simulated
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.poses import invert
-from farfield.radar.axes import KRADAR_ORIGIN_M
 from farfield.radar.doppler import radar_velocity
 from farfield.radar.views import PRODUCTS, RadarViews, radar_views
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 _LONGEST_S = 1.0  # frames farther apart say little about the velocity
 

@@ -81,10 +81,6 @@ KRADAR_AXES = RadarAxes(
 )
 """K-Radar's axes (``resources/info_arr.mat``, ``arr_doppler.mat``); its files count both angles the other way round."""
 
-KRADAR_ORIGIN_M = (2.54, -0.3, -0.7)
-"""Where K-Radar's radar stands in the frame of its os2-64, without rotation, in all sequences: x and y are in every
-``calib_radar_lidar.txt``, z is in the development kit's configuration."""
-
 # The Cartesian grid of K-Radar's cube, and trilinear interpolation of a polar map onto it.
 #
 # Power spans many decades from one cell to the next, so both shares of every pair of neighbours are kept: a sum of

@@ -5,6 +5,10 @@ from dataclasses import dataclass
 
 from farfield.vocabulary.conditions import condition_name
 
+KRADAR_ORIGIN_M = (2.54, -0.3, -0.7)
+"""Where K-Radar's radar stands in the frame of its os2-64, without rotation, in all sequences: x and y are in every
+``calib_radar_lidar.txt``, z is in the development kit's configuration."""
+
 OUSTER_LINES = {"os2-64": 64, "os1-128": 128}
 """Lines of each LiDAR."""
 

@@ -9,9 +9,10 @@ from drive import frame
 from farfield.datasets import open_dataset
 from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.errors import ConfigError
-from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M
+from farfield.radar.axes import KRADAR_AXES
 from farfield.radar.cells import cells_of_cube
 from farfield.radar.products import polar3d_from_moments, zyx_cube
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 
 @pytest.fixture(scope="module")

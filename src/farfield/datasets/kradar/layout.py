@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from farfield.radar.axes import KRADAR_ORIGIN_M
-from farfield.vocabulary.kradar import OUSTER_LINES, STEREO_CAMERAS
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M, OUSTER_LINES, STEREO_CAMERAS
 
 LIDARS = OUSTER_LINES
 COLUMNS = 2048

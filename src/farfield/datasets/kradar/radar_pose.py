@@ -23,7 +23,7 @@ from farfield.datasets.kradar.texts import numbers_of, read_radar_calibration
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.geometry.poses import invert, pose_from_yaw
-from farfield.radar.axes import KRADAR_ORIGIN_M
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 RADAR_FILE = "calib_radar_lidar.txt"
 SIDE_FILE = "calib_radar_lidar.farfield.json"

@@ -23,7 +23,7 @@ from farfield.datasets.kradar.layout import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, RES
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.frame import Camera
-from farfield.radar.axes import KRADAR_ORIGIN_M
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 MAX_BYTES = 4 << 20
 _LARGEST = 1e9

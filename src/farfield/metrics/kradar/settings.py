@@ -15,9 +15,8 @@ from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
 from farfield.metrics.options import check_range_bins, json_options, option_text
 from farfield.metrics.recall_sampling import RECALL_POINTS
-from farfield.radar.axes import KRADAR_ORIGIN_M
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
-from farfield.vocabulary.kradar import REGIONS_M, Bounds
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M, REGIONS_M, Bounds
 
 _CHOICES: dict[str, tuple[object, ...]] = {
     "boxes_in": ("radar", "os2-64"),

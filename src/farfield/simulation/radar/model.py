@@ -13,7 +13,8 @@ from jaxtyping import Float, Float32
 
 from farfield.errors import ConfigError
 from farfield.geometry.poses import pose
-from farfield.radar.axes import KRADAR_AXES, KRADAR_ORIGIN_M, RadarAxes
+from farfield.radar.axes import KRADAR_AXES, RadarAxes
+from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 LIGHT_M_S = 299_792_458.0
 WINDOWS = ("none", "hann", "hamming")
