@@ -21,7 +21,7 @@ class Validation:
     """Frames on which a training is scored every few steps.
 
     The score is the mean over the detector's classes of nuScenes' AP (centres within 0.5, 1, 2 and 4 m; Caesar et al.
-    2020, 3.1): it asks for no settings, and suits each kind of sensor.
+    2020, 3.1): it needs no settings, and suits each kind of sensor.
 
     Args:
         frames: Held-out, annotated frames.

@@ -1,4 +1,4 @@
-"""LiDAR to camera, as the page asks for it."""
+"""LiDAR to camera, on the calibration page."""
 
 from dataclasses import replace
 from importlib.util import find_spec

@@ -1,4 +1,4 @@
-"""Radar to LiDAR, as the page asks for it."""
+"""Radar to LiDAR, on the calibration page."""
 
 from dataclasses import replace
 from pathlib import Path

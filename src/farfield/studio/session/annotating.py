@@ -74,7 +74,7 @@ class plans:  # noqa: N801 - a decorator
 
 @dataclass(frozen=True)
 class PlannedEdit(Generic[R]):
-    """An edit that a window asks for, with the plan of its class.
+    """An edit that a window requests, with the plan of its class.
 
     Args:
         plan: Finds the cells that change, from the store as it stands.

@@ -183,7 +183,7 @@ class Session:
             window.send(self.refusal(id, error))
 
     def window_name(self, name: str) -> str:
-        """A name for a new window: the one that it asks for if that is free."""
+        """A name for a new window: the one that it requests if that is free."""
         free, number = name, 1
         while free in self.windows:
             number += 1
