@@ -143,10 +143,10 @@ def count_covers(summaries: Iterable[PictureSummary], kind: str, *, together: bo
     tracks, covers = set(), 0
     for summary in summaries:
         series = summary.file if summary.frame is not None else Path(summary.file).parent.as_posix()
-        place = series if together else f"{summary.file} {summary.frame}"
+        track_series = series if together else f"{summary.file} {summary.frame}"
         rows = [row for row in summary.rows if row["kind"] == kind]
         covers += len(rows)
-        tracks |= {(place, row["track"]) for row in rows if row["track"] is not None}
+        tracks |= {(track_series, row["track"]) for row in rows if row["track"] is not None}
     return len(tracks), covers
 
 
