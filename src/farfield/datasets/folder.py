@@ -28,18 +28,19 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.base import Dataset, Indices, all_known
 from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
+from farfield.files.point_times import PointTimes
 from farfield.frame import Annotation, Boxes, Constant, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import CLOUD_SUFFIXES, columns_shown, read_cloud
+from farfield.frame.cloud import CLOUD_SUFFIXES
 
 TABLE_NAME = "labels.csv"
 _BOX_FOLDERS = ("", "boxes", "labels")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _MAX_BYTES = 64 << 20
-_LOOKED_AT = 8
 _NANOSECONDS = re.compile(r"\d{16,19}")
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -173,7 +174,9 @@ class Folder(Dataset):
         root: The folder.
         mapping: A file that renames classes; None takes ``mapping.yaml`` in the folder, if it is there.
         bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
-        intensity_scale: Value that stands for full reflectance; None decides for each file.
+        intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is no cloud, two clouds share a stem, a frame has two annotations, or the table none of
@@ -190,13 +193,13 @@ class Folder(Dataset):
         *,
         mapping: Path | str | None = None,
         bin_columns: int | None = None,
-        intensity_scale: float | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
     ) -> None:
         self.root = Path(root)
         own = self.root / MAPPING_NAME
         self.mapping_path = Path(mapping) if mapping is not None else own if own.is_file() else None
         self.classes = {} if self.mapping_path is None else read_class_mapping(self.mapping_path)
-        self.intensity_scale = intensity_scale
         self.clouds = sorted(path for path in self.root.iterdir() if path.suffix in CLOUD_SUFFIXES and path.is_file())
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected clouds with suffix {', '.join(CLOUD_SUFFIXES)}; found none")
@@ -205,7 +208,13 @@ class Folder(Dataset):
         double = next((stem for stem, count in Counter(self.frame_ids).items() if count > 1), None)
         if double is not None:
             raise DatasetError(f"{self.root}: expected one cloud a stem, found several with stem {double!r}")
-        self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT])
+        self.reading = CloudReading(
+            self.clouds,
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+            stamps_ns=[_time_ns(stem) for stem in self.frame_ids],
+        )
         self.table_path = self.root / TABLE_NAME
         self._table = read_table(self.table_path, self.sequences[0]) if self.table_path.is_file() else {}
         self._check_table()
@@ -289,7 +298,7 @@ class Folder(Dataset):
         calibration = self.calibration_file
         images = Lazy({} if image is None else {"camera": partial(read_image, image)})
         cameras = {} if calibration is None else read_calibration(calibration)
-        load = partial(read_cloud, path, bin_columns=self.bin_columns, intensity_scale=self.intensity_scale)
+        load = self.reading.loader(path, _time_ns(stem))
         return Frame(
             sequence=self.sequences[index],
             frame_id=stem,

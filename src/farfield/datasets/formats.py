@@ -334,6 +334,11 @@ def looked_for() -> dict[str, str]:
 
 
 _EVERYWHERE = ("poses", "rotate_deg")  # options of every format
+_CLOUD_FLAGS = {
+    "bin_columns": " (--columns): its files say their columns themselves",
+    "intensity_scale": " (--intensity-scale): its format says the full scale",
+    "point_times": " (--point-times): its format says what its points' times are",
+}
 
 
 def open_dataset(path: Path | str, *, format: str | None = None, **options: Any) -> Dataset:
@@ -395,7 +400,7 @@ def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> se
     offered = [*own, *(name for name in reader.view_options if name not in own), *_EVERYWHERE]
     unknown = [name for name in options if name not in offered]
     if unknown:
-        flag = " (--columns): its files say their columns themselves" if unknown[0] == "bin_columns" else ""
+        flag = _CLOUD_FLAGS.get(unknown[0], "")
         raise ConfigError(
             f"open_dataset: the {format} reader does not know the option {unknown[0]!r}{flag}; it knows "
             f"{', '.join(offered)}"

@@ -13,15 +13,17 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.json_labels import SustechLabels, annotation_of
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import numbers
 from farfield.files.images import image_size, read_image
 from farfield.files.json_text import parse_json
+from farfield.files.point_times import PointTimes
 from farfield.files.sustechpoints import MAX_BYTES, parse_sustechpoints
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
+from farfield.frame.cloud import CLOUD_SUFFIXES
 
 _IMAGES = (".jpg", ".jpeg", ".png")
 
@@ -43,6 +45,10 @@ class SustechPoints(Dataset):
 
     Args:
         root: A scene, or a folder of scenes.
+        bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
+        intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is none.
@@ -50,7 +56,14 @@ class SustechPoints(Dataset):
 
     name = "sustechpoints"
 
-    def __init__(self, root: Path | str) -> None:
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        bin_columns: int | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
+    ) -> None:
         self.root = Path(root)
         self.scenes = scenes(self.root)
         if not self.scenes:
@@ -63,6 +76,9 @@ class SustechPoints(Dataset):
         ]
         self.sequences = tuple(path.parent.parent.resolve().name for path in self.clouds)
         self.frame_ids = tuple(path.stem for path in self.clouds)
+        self.reading = CloudReading(
+            self.clouds, bin_columns=bin_columns, intensity_scale=intensity_scale, point_times=point_times
+        )
 
     def label_path(self, index: int) -> Path:
         """The label file of frame ``index``, or where it would stand."""
@@ -90,7 +106,7 @@ class SustechPoints(Dataset):
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
-            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index])}),
+            clouds=Lazy({"lidar": self.reading.loader(self.clouds[index])}),
             images=Lazy({name: partial(read_image, path) for name, path in images.items()}),
             cameras=cameras,
             sensors={

@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.point_times import OFFSET_COLUMN, PointTimeColumn, PointTimes, point_time_column
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.poses import transform_points
 from farfield.registry import display_html
@@ -28,6 +29,7 @@ CACHE_FOLDER = ".farfield_cache"
 CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".xyz", ".ffcloud")
 
 _MOST_COLUMNS, _LINE_BYTES = 16, 4096
+_MOST_OFFSET_S = 2.0
 _NEAREST_M = 1e4  # no sensor sees so far: clouds in millimetres begin nearer
 
 
@@ -150,6 +152,25 @@ class Cloud:
             "not read it, or data that have it."
         )
 
+    def offsets_s(self) -> Float[np.ndarray, " n"] | None:
+        """When each point was measured, in seconds since the frame's time, shape (n,); None where it is not known.
+
+        Raises:
+            ConfigError: If a column of times holds anything but nanoseconds within a second or so of the frame's time.
+        """
+        name = next((name for name in (OFFSET_COLUMN, "time_ns") if name in self.extra), None)
+        if name is None:
+            return None
+        offsets_s = np.asarray(self.extra[name], dtype=np.float64) * 1e-9
+        if not (np.abs(offsets_s) <= _MOST_OFFSET_S).all():
+            raise ConfigError(
+                f"Cloud: expected points measured within {_MOST_OFFSET_S:g} s of their sweep, in nanoseconds in the "
+                f"column {name}; got {np.min(self.extra[name])} to {np.max(self.extra[name])}. Subtract the frame's "
+                "time, or give the unit: --point-times s, ms, us, ns or none (point_times=); odometry takes points as "
+                "they are with --no-deskew"
+            )
+        return offsets_s
+
     @classmethod
     def concatenate(cls, parts: "list[Cloud]") -> "Cloud":
         """Join clouds; only the columns that all of them have are kept."""
@@ -240,18 +261,57 @@ def write_rows_cache(source: Path, root: Path, *, columns: int | None = None, de
     return cached
 
 
-def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: float | None = None) -> Cloud:
+@dataclass(frozen=True, kw_only=True)
+class CloudSettings:
+    """How the columns of a cloud file become a cloud.
+
+    Args:
+        intensity_scale: Value that stands for full reflectance; None decides by the file, see
+            :func:`intensity_scale_of`.
+        point_times: Unit of the points' times, see :data:`~farfield.files.point_times.PointTimes`.
+        stamp_ns: The sweep's time since 1970; None where it is not known.
+        period_ns: From one sweep to the next; None where it is not known.
+    """
+
+    intensity_scale: float | int | None = None
+    point_times: PointTimes = "auto"
+    stamp_ns: int | None = None
+    period_ns: float | int | None = None
+
+
+_OWN_SETTINGS = CloudSettings()
+
+
+def read_cloud(
+    path: Path, *, bin_columns: int | None = None, intensity_scale: float | int | None = None, **settings: Any
+) -> Cloud:
     """Read one cloud file of a known suffix: .pcd, .bin (velodyne), .npy (rows), .xyz or .ffcloud.
 
     Args:
         path: The file.
         bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
-        intensity_scale: Value that stands for full reflectance; None takes the smallest of 1, 255 and 65535 that
-            covers the file.
+        intensity_scale: Value that stands for full reflectance; None decides by the file.
+        **settings: The others of :class:`CloudSettings`.
 
     Raises:
-        FileFormatError: If the file is damaged, or an intensity is negative or beyond the scale.
+        FileFormatError: If the file is damaged, an intensity is negative or beyond the scale, or the points' times
+            cannot be told.
         DatasetError: If the suffix is unknown, x, y and z are missing, or all points lie beyond 10 km.
+    """
+    chosen = CloudSettings(intensity_scale=intensity_scale, **settings)
+    return _from_columns(path, read_columns(path, bin_columns=bin_columns), chosen)
+
+
+def read_columns(path: Path, *, bin_columns: int | None = None) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """The columns of a cloud file by name: x, y, z, intensity where there is one under any usual name, and the others.
+
+    Args:
+        path: The file.
+        bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
+
+    Raises:
+        FileFormatError: If the file is damaged, or a place or the intensity holds several numbers for each point.
+        DatasetError: If the suffix is unknown.
     """
     from farfield.files.clouds import bin_columns as bin_columns_of
     from farfield.files.clouds import names_of
@@ -259,11 +319,11 @@ def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: f
     if path.suffix == ".pcd":
         from farfield.files.pcd import read_pcd
 
-        return _from_columns(path, read_pcd(path), intensity_scale)
+        return named_columns(path, read_pcd(path))
     if path.suffix == ".ffcloud":
         from farfield.files.clouds import read_cache
 
-        return _from_columns(path, read_cache(path), intensity_scale)
+        return named_columns(path, read_cache(path))
     if path.suffix == ".bin":
         from farfield.files.clouds import read_bin
 
@@ -274,7 +334,45 @@ def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: f
         rows = _read_npy(path)
     else:
         raise DatasetError(f"{path}: expected a cloud with suffix {', '.join(CLOUD_SUFFIXES)}")
-    return _from_columns(path, dict(zip(names_of(rows), rows.T, strict=True)), intensity_scale)
+    return dict(zip(names_of(rows), rows.T, strict=True))
+
+
+INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "signal")
+"""Names of the column that becomes the intensity, in lower case; the first that a cloud has is taken."""
+
+
+def named_columns(path: Path | str, columns: Mapping[str, np.ndarray]) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """Columns of a cloud under our names: ``X`` is x, ``reflectivity`` is the intensity, ``rgb`` of three rgb_0 to 2.
+
+    Args:
+        path: The file, for messages.
+        columns: By the file's names, each of shape (n,), or (n, count) where a point has several numbers.
+
+    Raises:
+        FileFormatError: If a place or the intensity holds several numbers for each point.
+    """
+    lower = {name.lower(): name for name in reversed(columns)}
+    ours = {lower[axis]: axis for axis in "xyz" if axis not in columns and axis in lower}
+    strength = next((lower[name] for name in INTENSITY_NAMES if name in lower), None)
+    if strength is not None:
+        ours[strength] = "intensity"
+    split: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        own_name = ours.get(name, name)
+        if values.ndim == 1:
+            split[own_name] = values
+        elif own_name in ("x", "y", "z", "intensity"):
+            raise FileFormatError(
+                path,
+                where=f"field {name}",
+                expected="one number a point (COUNT 1)",
+                got=f"{values.shape[1:]} numbers",
+                fix="Write one of them as the field; the others as fields of their own.",
+            )
+        else:
+            rows = values.reshape(len(values), -1)
+            split |= {f"{name}_{element}": rows[:, element] for element in range(rows.shape[1])}
+    return split
 
 
 def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
@@ -288,7 +386,7 @@ def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
 
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise ConfigError(f"expected rows of 3 or more numbers, got shape {rows.shape} of {rows.dtype}")
-    return _from_columns(Path("array"), dict(zip(names_of(rows), rows.T, strict=True)), None)
+    return _from_columns(Path("array"), dict(zip(names_of(rows), rows.T, strict=True)))
 
 
 def columns_shown(paths: Sequence[Path]) -> int | None:
@@ -326,15 +424,15 @@ def xyz_columns(path: Path) -> int | None:
     return count if count in (3, 4) else None
 
 
-def _from_columns(path: Path, columns: Mapping[str, np.ndarray], scale: float | None) -> Cloud:
-    missing = [name for name in "xyz" if name not in columns]
-    if missing:
-        raise DatasetError(f"{path}: expected columns x, y, z; missing {', '.join(missing)} of {', '.join(columns)}")
+def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: CloudSettings = _OWN_SETTINGS) -> Cloud:
+    lacking = [name for name in "xyz" if name not in columns]
+    if lacking:
+        raise DatasetError(f"{path}: expected columns x, y, z; missing {', '.join(lacking)} of {', '.join(columns)}")
     points = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float32)
     valid = np.isfinite(points).all(axis=1)
     if path.suffix == ".pcd" and not valid.all() and np.isnan(points[~valid]).any(axis=1).all():
         returned = {name: value[valid] for name, value in columns.items()}  # NaN: nothing came back
-        return replace(_from_columns(path, returned, scale), missing=int((~valid).sum()))
+        return replace(_from_columns(path, returned, settings), missing=int((~valid).sum()))
     if not valid.all():
         row = int(np.argwhere(~np.isfinite(points))[0][0])
         raise DatasetError(f"{path}: expected finite coordinates, got {points[row].tolist()} in point {row}")
@@ -344,22 +442,81 @@ def _from_columns(path: Path, columns: Mapping[str, np.ndarray], scale: float | 
             f"{np.hypot(points[:, 0], points[:, 1]).min():.4g} away: coordinates of a map (UTM, ECEF)? Subtract where "
             "the sensor stood, in float64."
         )
-    strength = np.asarray(columns.get("intensity", np.zeros(len(points))), dtype=np.float32)
-    if not np.isfinite(strength).all():
-        raise DatasetError(f"{path}: expected finite intensities, got some that are not")
-    scale = intensity_scale_of(float(strength.max(initial=0.0))) if scale is None else scale
-    if len(strength) and (strength.min() < 0 or strength.max() > scale * (1 + 1e-5)):
+    strength = np.asarray(columns.get("intensity", np.zeros(len(points), dtype=np.float32)))
+    scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
+    extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
+    return Cloud(points, scaled_intensity(path, strength, scale), with_offsets(path, extra, settings))
+
+
+def with_offsets(
+    path: Path | str, extra: Mapping[str, Shaped[np.ndarray, " n"]], settings: CloudSettings
+) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """Further columns with the points' times, if there are any, as ``offset_ns``: int64 nanoseconds since the stamp.
+
+    Raises:
+        FileFormatError: If their unit or what they count from cannot be told.
+    """
+    name = None if settings.point_times == "none" else point_time_column(extra)
+    if name is None:
+        return dict(extra)
+    unit = None if settings.point_times == "auto" else settings.point_times
+    times = PointTimeColumn(name, extra[name], path, settings.stamp_ns, settings.period_ns)
+    return {key: column for key, column in extra.items() if key != name} | {OFFSET_COLUMN: times.offsets_ns(unit)}
+
+
+_FULL_SCALES = (1.0, 255.0, 65535.0)
+_FEW, _LITTLE_BEYOND = 0.01, 1.5
+"""Outliers: share of the intensities above 0 that lie beyond a scale, and how far they may if all are whole numbers."""
+
+
+def intensity_scale_of(strengths: Sequence[Shaped[np.ndarray, " _"]]) -> float:
+    """Value that stands for full reflectance in the clouds of a data set: 1, 255 or 65535.
+
+    The smallest that covers them, but for outliers: fewer than one in a hundred, among numbers with a fraction or
+    little above. Whole numbers of an integer type never reach from 0 to 1. Beyond 65535 it is the largest.
+
+    >>> intensity_scale_of([np.array([0.2, 0.9])]), intensity_scale_of([np.array([3, 200.0]), np.array([0.5])])
+    (1.0, 255.0)
+    """
+    scales = _FULL_SCALES[1:] if strengths and all(values.dtype.kind in "iu" for values in strengths) else _FULL_SCALES
+    joined = np.concatenate([values.astype(np.float64) for values in strengths] or [np.zeros(0)])
+    positive = joined[np.isfinite(joined) & (joined > 0)]
+    largest = float(positive.max(initial=0.0))
+    for scale in scales:
+        beyond = positive > scale * (1 + 1e-6)
+        if not beyond.any():
+            return scale
+        fractions = (positive[~beyond] % 1 != 0).any()
+        if beyond.mean() < _FEW and (largest <= _LITTLE_BEYOND * scale or fractions):
+            return scale
+    return largest
+
+
+def scaled_intensity(
+    path: Path | str, strength: Shaped[np.ndarray, " n"], scale: float | int
+) -> Float32[np.ndarray, " n"]:
+    """Intensities brought to [0, 1].
+
+    Args:
+        path: The file, for messages.
+        strength: As the file has them.
+        scale: Value that stands for full reflectance.
+
+    Raises:
+        FileFormatError: If one is not finite, negative or beyond the scale.
+    """
+    values = np.asarray(strength, dtype=np.float32)
+    wrong = values[~np.isfinite(values)]
+    if not len(wrong) and len(values) and (values.min() < 0 or values.max() > scale * (1 + 1e-5)):
+        wrong = np.array([values.min(), values.max()])
+    if len(wrong):
+        full = float(values.max(initial=1.0, where=np.isfinite(values)))
         raise FileFormatError(
             path,
             where="the intensity column",
-            expected=f"values from 0 to {scale:g}",
-            got=f"{strength.min():g} to {strength.max():g}",
-            fix="Give the value that stands for full reflectance, such as intensity_scale=255, or fix the column.",
+            expected=f"finite values from 0 to {scale:g}",
+            got=" to ".join(f"{value:g}" for value in wrong[:2]),
+            fix="Give the value that stands for full reflectance in all clouds, such as --intensity-scale "
+            f"{full:.6g} (in Python and experiments intensity_scale={full:.6g}), or mend the column.",
         )
-    extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
-    return Cloud(points, np.clip(strength / np.float32(scale), 0.0, 1.0), extra)
-
-
-def intensity_scale_of(largest: float) -> float:
-    """Value that stands for full reflectance: the smallest of 1, 255 and 65535 that covers the largest intensity."""
-    return next((scale for scale in (1.0, 255.0, 65535.0) if largest <= scale * (1 + 1e-6)), largest)
+    return np.clip(values / np.float32(scale), 0.0, 1.0)

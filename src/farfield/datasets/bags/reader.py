@@ -1,24 +1,34 @@
 """ROS 2 bags as frames: one a message of the reference cloud, with the nearest of each other topic."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float32, Int64, Shaped, UInt8
+from jaxtyping import Int64, Shaped, UInt8
 
 from farfield.datasets.bags.transforms import Transforms
 from farfield.datasets.base import Dataset, Indices, Poses, all_poses
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
+from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_times, point_time_column
 from farfield.files.sensor_messages import read_points, read_ros_compressed, read_ros_image
 from farfield.frame import Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import (
+    CloudSettings,
+    intensity_scale_of,
+    named_columns,
+    scaled_intensity,
+    with_offsets,
+)
 
 CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
 COMPRESSED, IMU = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu"
 _KINDS = (CLOUD, IMAGE, COMPRESSED)
+_LOOKED_AT = 5
+Columns = dict[str, Shaped[np.ndarray, " n"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +42,7 @@ class Messages:
         repeat: Which of those recorded at the same moment each is, shape (n,).
         frame_id: Name of its coordinates, by its first message.
         radar: Whether it is a radar's cloud.
-        limit: Intensity that is taken as 1.
+        settings: How its clouds are read.
     """
 
     topic: Topic
@@ -41,7 +51,7 @@ class Messages:
     repeat: Int64[np.ndarray, " n"]
     frame_id: str
     radar: bool
-    limit: float | None
+    settings: CloudSettings
 
     def nearest(self, time_ns: int, tolerance_ns: int) -> int | None:
         """Place of the message nearest in time, the earlier of two; None beyond the tolerance."""
@@ -57,11 +67,13 @@ class IndexedBag:
     Args:
         path: The bag.
         stamp: Which stamps count.
-        intensity_max: Intensity that is taken as 1; None decides by the first cloud.
+        intensity_scale: Value that stands for full reflectance; None decides by some clouds of each topic.
+        point_times: Unit of the points' times.
     """
 
-    def __init__(self, path: Path, stamp: str, intensity_max: float | None) -> None:
-        self.bag, self.stamp, self.intensity_max = Bag(path), stamp, intensity_max
+    def __init__(self, path: Path, stamp: str, intensity_scale: float | int | None, point_times: PointTimes) -> None:
+        self.bag, self.stamp = Bag(path), stamp
+        self.intensity_scale, self.point_times = intensity_scale, point_times
         self.transforms = Transforms(self.bag)
 
     @property
@@ -82,18 +94,36 @@ class IndexedBag:
         first_of_equal = np.searchsorted(log, log, side="left")
         order = np.argsort(times, kind="stable")
         message = self.bag.at(topic.name, int(log[0]))
-        columns = read_points(message, self.bag.path) if topic.kind == CLOUD else {}
+        repeat = np.arange(len(log)) - first_of_equal
+        rows = np.unique(np.linspace(0, len(log) - 1, _LOOKED_AT).astype(int)) if topic.kind == CLOUD else []
+        samples = [self._columns(topic, int(log[row]), int(repeat[row])) for row in rows]
+        steps = np.diff(times[order])
         with guarded(self.bag.path, f"the header of {topic.name}"):
             frame_id = str(message.header.frame_id)
         return Messages(
             topic=topic,
             times_ns=times[order],
             log_ns=log[order],
-            repeat=(np.arange(len(log)) - first_of_equal)[order],
+            repeat=repeat[order],
             frame_id=frame_id,
-            radar=is_radar(columns),
-            limit=intensity_limit(columns) if self.intensity_max is None else self.intensity_max,
+            radar=is_radar(samples[0]) if samples else False,
+            settings=self._settings(samples, float(np.median(steps[steps > 0])) if (steps > 0).any() else None),
         )
+
+    def _columns(self, topic: Topic, log_ns: int, repeat: int) -> Columns:
+        return named_columns(self.bag.path, read_points(self.bag.at(topic.name, log_ns, repeat), self.bag.path))
+
+    def _settings(self, samples: Sequence[Columns], period_ns: float | None) -> CloudSettings:
+        """One full scale and one unit of times for all clouds of a topic."""
+        scale, unit = self.intensity_scale, self.point_times
+        if scale is None:
+            scale = intensity_scale_of([columns["intensity"] for columns in samples if "intensity" in columns])
+        for columns in samples:
+            name = point_time_column(columns)
+            if unit == "auto" and name is not None:
+                times = returned(columns, name)
+                unit = PointTimeColumn(name, times, self.bag.path, None, period_ns).unit() or "auto"
+        return CloudSettings(intensity_scale=scale, point_times=unit, period_ns=period_ns)
 
 
 def our_name(topic: str) -> str:
@@ -114,7 +144,10 @@ class Bags(Dataset):
         cloud: Topic of the reference cloud; the lidar with the most messages unless given.
         stamp: ``"header"``, the sensors' own stamps, or ``"log"``, when messages were recorded.
         tolerance_ms: Largest distance of what comes with a frame.
-        intensity_max: Intensity that is taken as 1; by the first cloud unless given.
+        intensity_scale: Value that stands for full reflectance; None decides by some clouds of each topic.
+        intensity_max: The old name of intensity_scale.
+        point_times: Unit of the points' times: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to leave the column as it is;
+            ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is no bag with clouds.
@@ -131,14 +164,20 @@ class Bags(Dataset):
         cloud: str | None = None,
         stamp: Literal["header", "log"] = "header",
         tolerance_ms: float = 50.0,
-        intensity_max: float | None = None,
+        intensity_scale: float | int | None = None,
+        intensity_max: float | int | None = None,
+        point_times: PointTimes = "auto",
     ) -> None:
+        check_point_times(point_times)
+        scale = intensity_max if intensity_scale is None else intensity_scale
+        if scale is not None and not 0 < scale < np.inf:
+            raise ConfigError(f"intensity_scale: expected a positive number, got {scale!r}")
         self.root, self.tolerance_ns = Path(root), round(tolerance_ms * 1e6)
         paths = find_bags(self.root)
         self._bags = {path.stem if path.is_file() else path.resolve().name: path for path in paths}
         if len(self._bags) < len(paths):
             raise DatasetError(f"{root}: expected bags of different names")
-        self._recorded = {name: IndexedBag(path, stamp, intensity_max) for name, path in self._bags.items()}
+        self._recorded = {name: IndexedBag(path, stamp, scale, point_times) for name, path in self._bags.items()}
         self._clouds = {name: self._reference(name, cloud) for name in self._bags}
         counts = {name: 0 if topic is None else topic.size for name, topic in self._clouds.items()}
         if not sum(counts.values()):
@@ -193,7 +232,7 @@ class Bags(Dataset):
             if messages.topic.kind == CLOUD:
                 ours = np.eye(4) if name == reference else recorded.transforms.fixed(own.frame_id, messages.frame_id)
                 move = None if name == reference else ours
-                clouds[name] = partial(load_cloud, *where, limit=messages.limit, target_T_sensor=move)
+                clouds[name] = partial(load_cloud, *where, settings=messages.settings, target_T_sensor=move)
                 kind: Literal["radar", "lidar"] = "radar" if messages.radar else "lidar"
                 has_pose = ours is not None
                 sensors[name] = Sensor(kind=kind, frame_T_sensor=ours, in_frame=has_pose, time_ns=taken_ns)
@@ -259,12 +298,7 @@ def load_image(bag: Bag, topic: str, log_ns: int, index: int) -> UInt8[np.ndarra
 
 # Point clouds of messages.
 
-INTENSITY = ("intensity", "i", "reflectivity", "signal")
-TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "timeOffset", "time_offset", "point_time_offset")
 RADAR = ("doppler", "velocity", "range_rate", "radial_speed", "rcs", "power", "snr", "v_r")
-_FULL = {"u1": 255.0, "u2": 65535.0}
-
-Columns = dict[str, Shaped[np.ndarray, " n"]]
 
 
 def is_radar(names: Any) -> bool:
@@ -272,14 +306,10 @@ def is_radar(names: Any) -> bool:
     return any(term in str(name).lower() for name in names for term in RADAR)
 
 
-def intensity_limit(columns: Columns) -> float | None:
-    """The value that is taken as 1: all that an integer holds, else the least of 1, 255, 65,535 above what is seen."""
-    name = next((name for name in INTENSITY if name in columns), None)
-    if name is None:
-        return None
-    kind = columns[name].dtype.str[1:]
-    largest = float(np.nanmax(columns[name], initial=0))
-    return _FULL.get(kind) or next((limit for limit in (1.0, 255.0, 65535.0) if largest <= limit), None)
+def returned(columns: Columns, name: str) -> Shaped[np.ndarray, " m"]:
+    """One column of the points that have a place."""
+    places = np.column_stack([columns[axis] for axis in "xyz" if axis in columns] or [np.zeros(len(columns[name]))])
+    return columns[name][np.isfinite(places).all(axis=1)]
 
 
 def load_cloud(
@@ -288,7 +318,7 @@ def load_cloud(
     log_ns: int,
     index: int,
     *,
-    limit: float | None,
+    settings: CloudSettings,
     target_T_sensor: np.ndarray | None = None,
 ) -> Cloud:
     """Read one cloud of a bag; points that are not finite ("no return") are left out.
@@ -298,61 +328,33 @@ def load_cloud(
         topic: The cloud's topic.
         log_ns: When it was recorded.
         index: Which of those recorded then.
-        limit: Intensity that is taken as 1; None leaves the column as it is among the others.
+        settings: Full scale, unit of times and period.
         target_T_sensor: Moves the points into other coordinates.
     """
     message = bag.at(topic, log_ns, index)
     columns = read_points(message, bag.path)
     with guarded(bag.path, "a cloud's header"):
         stamp_ns = int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
-    cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=stamp_ns)
+    cloud = cloud_of(columns, bag.path, replace(settings, stamp_ns=stamp_ns))
     return cloud if target_T_sensor is None else cloud.transform(target_T_sensor)
 
 
-def cloud_of(columns: Columns, path: Path | str, *, limit: float | None, stamp_ns: int) -> Cloud:
+def cloud_of(columns: Columns, path: Path | str, settings: CloudSettings) -> Cloud:
     """A cloud of the columns of a message.
 
     Raises:
-        FileFormatError: If there is no x, y, z.
-        ConfigError: If an intensity lies above what is taken as 1.
+        FileFormatError: If there is no x, y, z, an intensity lies beyond its scale, or the points' times cannot be
+            told.
     """
+    columns = named_columns(path, columns)
     missing = [name for name in "xyz" if name not in columns]
     if missing:
         raise FileFormatError(path, where="a point cloud", expected="fields x, y, z", got=", ".join(columns) or "none")
     points = np.column_stack([columns[name] for name in "xyz"]).astype(np.float32)
     finite = np.isfinite(points).all(axis=1)
     rest = {name: values[finite] for name, values in columns.items() if name not in "xyz"}
-    times = next((name for name in TIMES if name in rest), None)
-    if times is not None:
-        rest["offset_ns"] = offsets_ns(rest.pop(times), stamp_ns)
-    name = next((name for name in INTENSITY if name in rest), None)
-    strength = None if name is None or limit is None else _scaled(rest.pop(name), limit, path)
-    return Cloud(points[finite], strength, rest)
-
-
-def _scaled(values: Shaped[np.ndarray, " n"], limit: float, path: Path | str) -> Float32[np.ndarray, " n"]:
-    scaled = (values / limit).astype(np.float32)
-    if not ((scaled >= 0) & (scaled <= 1)).all():
-        raise ConfigError(
-            f"{path}: expected intensities from 0 to {limit:g}, taken from the first cloud; got {np.nanmin(values):g} "
-            f"to {np.nanmax(values):g}. Say what is full strength: intensity_max=."
-        )
-    return scaled
-
-
-def offsets_ns(values: Shaped[np.ndarray, " n"], stamp_ns: int) -> Int64[np.ndarray, " n"]:
-    """How long after the cloud's stamp each point was measured, in nanoseconds.
-
-    Integers are nanoseconds, since the stamp or since 1970; floating point is seconds, likewise, or from 1e17 on
-    nanoseconds since 1970 (Ouster, Velodyne, Hesai and Livox drivers).
-    """
-    if values.dtype.kind in "iu":
-        times_ns = values.astype(np.int64)
-        return np.asarray(times_ns - stamp_ns if len(times_ns) and times_ns.max() > 10**17 else times_ns)
-    size = float(np.abs(values).max(initial=0))
-    if size >= 1e17:
-        return np.rint(values - float(stamp_ns)).astype(np.int64)
-    if size >= 1e8:
-        whole_s = stamp_ns // 1_000_000_000
-        return np.rint((values - whole_s) * 1e9).astype(np.int64) - stamp_ns % 1_000_000_000
-    return np.rint(values.astype(np.float64) * 1e9).astype(np.int64)
+    strength = rest.pop("intensity", None)
+    if strength is not None:
+        scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
+        strength = scaled_intensity(path, strength, scale)
+    return Cloud(points[finite], strength, with_offsets(path, rest, settings))

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.datasets.base import Dataset, Indices
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.kitti.boxes import (
     annotation_of,
     boxes_from_objects,
@@ -26,12 +27,12 @@ from farfield.files.atomic import write_text
 from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
+from farfield.files.point_times import PointTimes
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
 _IMAGE_SUFFIXES = (".png", ".jpg")
-_COLUMNS, _LOOKED_AT = 4, 8
+_COLUMNS = 4
 
 
 class Kitti(Dataset):
@@ -46,6 +47,10 @@ class Kitti(Dataset):
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
         bin_columns: Columns of the clouds; None takes what the largest of the first clouds shows, and KITTI's
             four where it does not show it.
+        intensity_scale: Value that stands for full reflectance in all clouds; None is KITTI's 1 for four
+            columns, else decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is no cloud.
@@ -60,6 +65,8 @@ class Kitti(Dataset):
         part: Literal["training", "testing"] = "training",
         classes: Literal["cirrus", "kitti"] = "cirrus",
         bin_columns: int | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
     ) -> None:
         if classes not in ("cirrus", "kitti"):
             raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
@@ -71,7 +78,15 @@ class Kitti(Dataset):
             raise DatasetError(f"{self.root}: expected KITTI clouds in {part}/velodyne/*.bin, found none")
         self.frame_ids = tuple(path.stem for path in self.clouds)
         self.sequences = (part,) * len(self.clouds)
-        self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
+        self.reading = CloudReading(
+            self.clouds,
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+            usual_columns=_COLUMNS,
+            usual_scale=1.0,  # KITTI's reflectance reaches 1
+        )
+        self.bin_columns = self.reading.bin_columns or _COLUMNS
         if self.name == Kitti.name and self.bin_columns > _COLUMNS:
             self._refuse_radar()
 
@@ -120,8 +135,7 @@ class Kitti(Dataset):
         calib = None if calib_path is None else read_calib(calib_path)
         if labels is not None and calib is None:
             raise DatasetError(f"{labels}: expected calib/{labels.name} beside it: boxes stand in the camera's frame")
-        scale = 1.0 if self.bin_columns == _COLUMNS else None  # KITTI's reflectance reaches 1; others are not known
-        load = partial(read_cloud, self.clouds[index], bin_columns=self.bin_columns, intensity_scale=scale)
+        load = self.reading.loader(self.clouds[index])
         annotation, cameras = None, {} if calib is None else {"camera": sized_camera(calib, image)}
         if labels is not None and calib is not None:
             region = CameraField(camera=cameras["camera"], name="the left colour camera")

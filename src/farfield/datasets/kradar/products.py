@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Shaped, UInt8
+from jaxtyping import Bool, Float32, Int64, Num, Shaped, UInt8
 from PIL import Image
 
 from farfield.datasets.kradar.layout import LIDARS, SPARSE_COLUMNS
@@ -21,6 +21,7 @@ from farfield.files.images import read_image
 from farfield.files.mat import open_mat, read_mat, write_mat
 from farfield.files.npy import read_npy, write_npy
 from farfield.files.pcd import read_pcd, write_pcd
+from farfield.files.point_times import PointTimeColumn
 from farfield.files.radar_cells import read_radar_cells, write_radar_cells
 from farfield.frame import Cloud
 from farfield.radar.axes import KRADAR_AXES, RadarAxes, cube_gather
@@ -37,6 +38,7 @@ from farfield.radar.products import (
 TESSERACT_SHAPE = (64, 256, 37, 107)  # Doppler, range, elevation, azimuth
 CUBE_SHAPE = (150, 400, 250)  # z, y, x
 POLAR_SHAPE = (2, 256, 107, 37)  # power and Doppler; range, azimuth, elevation
+_TURN_NS = 100_000_000
 INTENSITY_COUNTS = 1024.0  # signal counts that stand for intensity 1; a power of two, so that scaling loses no bit
 _FIELDS = ("x", "y", "z", "intensity", "t", "reflectivity", "ring", "ambient", "range")
 _DTYPES = dict(zip(_FIELDS, ("f4", "f4", "f4", "f4", "u4", "u2", "u1", "u2", "u4"), strict=True))
@@ -204,8 +206,7 @@ def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
     returned = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
     columns, rest = divmod(len(points), LIDARS[lidar])
     signal = fields["intensity"].astype(np.float32)
-    is_integer = fields["t"].dtype.kind in "iu"
-    time_ns = fields["t"].astype(np.int64) + first_ns if is_integer else fields["t"]
+    time_ns = _times_ns(path, fields["t"], returned) + first_ns
     extra = {"signal": signal, "time_ns": time_ns, "range_mm": fields["range"]}
     extra |= {name: fields[name] for name in ("reflectivity", "ring", "ambient")}
     if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[returned].all():
@@ -213,6 +214,19 @@ def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
     with np.errstate(invalid="ignore"):
         strength = np.clip(np.nan_to_num(signal / np.float32(INTENSITY_COUNTS)), 0, 1).astype(np.float32)
     return Cloud(points[returned], strength[returned], {name: values[returned] for name, values in extra.items()})
+
+
+def _times_ns(path: Path, times: Num[np.ndarray, " n"], returned: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """The driver's ``t`` in nanoseconds: integers are such, other numbers in the unit that a turn of 0.1 s shows."""
+    if times.dtype.kind in "iu":
+        largest = np.iinfo(np.int64).max
+        if len(times) and int(times.max()) > largest // 2:
+            actual = f"{times.max()}"
+            raise FileFormatError(path, where="field t", expected="nanoseconds since the sweep began", got=actual)
+        return times.astype(np.int64)
+    times_ns = np.zeros(len(times), dtype=np.int64)
+    times_ns[returned] = PointTimeColumn("t", times[returned], path, None, _TURN_NS).offsets_ns()
+    return times_ns
 
 
 Image3 = UInt8[np.ndarray, "_ _ 3"]

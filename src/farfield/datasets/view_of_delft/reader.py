@@ -96,6 +96,7 @@ class ViewOfDelft(Dataset):
             one.
         nominal_times: Give frames the times that their numbers have at the radar's nominal :data:`RADAR_RATE_HZ`, since
             the files give none: good enough to stack sweeps, which need times.
+        intensity_scale: Value that stands for full reflectance of the lidar; the published clouds' own unless given.
 
     Raises:
         DatasetError: If there is no cloud.
@@ -113,6 +114,7 @@ class ViewOfDelft(Dataset):
         classes: Literal["cirrus", "kitti"] = "cirrus",
         reference: Reference | None = None,
         nominal_times: bool = False,
+        intensity_scale: float | int | None = None,
     ) -> None:
         for option, value, choices in (
             ("part", part, PARTS),
@@ -121,7 +123,10 @@ class ViewOfDelft(Dataset):
         ):
             if value not in choices:
                 raise ConfigError(f"view_of_delft: expected {option} to be one of {choices}, got {value!r}")
+        if intensity_scale is not None and not 0 < intensity_scale < np.inf:
+            raise ConfigError(f"intensity_scale: expected a positive number, got {intensity_scale!r}")
         self.root, self.classes, self.nominal_times = Path(root), classes, nominal_times
+        self.scale = REFLECTANCE_FULL if intensity_scale is None else float(intensity_scale)
         self.trees = find_trees(self.root, part)
         if not self.trees:
             raise DatasetError(f"{self.root}: expected clouds in [lidar|radar]/{part}/velodyne/*.bin, found none")
@@ -232,7 +237,7 @@ class ViewOfDelft(Dataset):
             read: Callable[[], Cloud] = (
                 partial(read_radar, path)
                 if sensor == "radar"
-                else partial(read_cloud, path, bin_columns=4, intensity_scale=REFLECTANCE_FULL)
+                else partial(read_cloud, path, bin_columns=4, intensity_scale=self.scale)
             )
             if sensor != rig.reference:
                 self._need(index, rig, (sensor, rig.reference), f"{path}: to give it in the {rig.reference}'s frame")

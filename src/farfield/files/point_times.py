@@ -1,0 +1,198 @@
+"""When each point of a sweep was measured: columns of every number type and unit, as offsets in nanoseconds.
+
+Drivers write seconds, milliseconds, microseconds or nanoseconds, since the sweep's stamp, since 1970 or since the full
+hour, and the fields do not say which. The sweep's own period decides: the units lie a factor of 1000 apart, so a turn
+of 100 ms fits one of them alone. What fits none is refused, and the unit can be given.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, Int64, Num
+
+from farfield.errors import ConfigError, FileFormatError
+
+PointTimes = Literal["auto", "s", "ms", "us", "ns", "none"]
+"""Unit of the points' times: ``auto`` decides by the sweep's period, ``none`` leaves the column as it is."""
+POINT_TIMES: tuple[PointTimes, ...] = get_args(PointTimes)
+OFFSET_COLUMN = "offset_ns"
+"""Column of a cloud: nanoseconds since the frame's time, int64."""
+
+UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+_NAMES = (
+    "t", "time", "times", "timestamp", "time_stamp", "timestamps", "stamp", "offset_time", "timeoffset", "time_offset",
+    "point_time_offset", "point_time", "offset", "toffset", "t_offset", "curvature_time", "relative_time", "delta_time",
+)  # fmt: skip
+_SUFFIX = re.compile(r"_?(?P<unit>s|sec|secs|ms|msec|us|usec|ns|nsec)$")
+_UNIT_OF_SUFFIX = {"sec": "s", "secs": "s", "msec": "ms", "usec": "us", "nsec": "ns"}
+_LEAST_NS, _MOST_NS = 2e6, 5e8  # of sweeps whose period is not known: half a thousand apart
+_LEAST_SHARE, _MOST_SHARE = 0.01, 3.0  # of a known period that the points' times span: sectors, and overlapping turns
+_NEAR_NS = 1_000_000_000  # how far a point may lie from its sweep's stamp
+_HOUR_NS = 3600 * 1_000_000_000
+_STEPS = 20  # a period has to have at least so many of the number type's steps
+_FIX = (
+    "Say the unit with --point-times s, ms, us or ns, or none to leave the column as it is; in Python and experiments "
+    "it is point_times=."
+)
+
+
+def check_point_times(unit: str) -> None:
+    """Refuse what is no unit of points' times.
+
+    Raises:
+        ConfigError: If it is none of :data:`POINT_TIMES`.
+    """
+    if unit not in POINT_TIMES:
+        raise ConfigError(f"point_times: expected one of {', '.join(POINT_TIMES)}, got {unit!r}")
+
+
+def point_time_column(names: Iterable[str]) -> str | None:
+    """The column that tells when each point was measured, or None.
+
+    >>> point_time_column(["x", "y", "z", "Timestamp"]), point_time_column(["x", "range"]), point_time_column(["t_us"])
+    ('Timestamp', None, 't_us')
+    """
+    return next((name for name in names if name.lower() in _NAMES or _named_unit(name) is not None), None)
+
+
+def _named_unit(name: str) -> str | None:
+    """The unit that a column's name says: ``time_ns``, ``t_us``, ``offset_ns``."""
+    suffix = _SUFFIX.search(name.lower())
+    if suffix is None or name.lower()[: suffix.start()] not in _NAMES:
+        return None
+    return _UNIT_OF_SUFFIX.get(suffix["unit"], suffix["unit"])
+
+
+@dataclass(frozen=True)
+class PointTimeColumn:
+    """One cloud's column of times.
+
+    Args:
+        name: Its name in the file.
+        values: The numbers, shape (n,).
+        path: The file, for messages.
+        stamp_ns: The sweep's time since 1970; None where it is not known.
+        period_ns: From one sweep to the next; None where it is not known.
+    """
+
+    name: str
+    values: Num[np.ndarray, " n"]
+    path: Path | str
+    stamp_ns: int | None = None
+    period_ns: float | int | None = None
+
+    def unit(self) -> str | None:
+        """The unit in which the times span a sweep; None where they do not differ, so that nothing shows.
+
+        Raises:
+            FileFormatError: If no unit fits, or another than the one that the column's name says.
+        """
+        named = _named_unit(self.name)
+        span = float(self._since_first().max(initial=0.0))
+        if span == 0:
+            return named
+        low, high = self._bounds_ns()
+        fitting = [unit for unit, scale in UNITS_NS.items() if low < span * scale <= high]
+        if len(fitting) != 1 or named not in (None, *fitting):
+            period = "" if self.period_ns is None else f" of {self.period_ns / 1e6:.4g} ms"
+            raise self._fault(
+                f"times that span a sweep{period} in {named or 's, ms, us or ns'}: {low / 1e6:.4g} to "
+                f"{high / 1e6:.4g} ms",
+                f"{self.values.dtype} from {self.values.min()} to {self.values.max()}, a span of {span:.6g}"
+                + (f", which fits {', '.join(fitting)}" if fitting else ""),
+            )
+        self._check_steps(fitting[0])
+        return fitting[0]
+
+    def offsets_ns(self, unit: str | None = None) -> Int64[np.ndarray, " n"]:
+        """Nanoseconds of each point since the sweep's stamp; since its first point where no stamp is known.
+
+        Args:
+            unit: ``s``, ``ms``, ``us`` or ``ns``; None decides.
+
+        Raises:
+            FileFormatError: If the unit, or what the times count from, cannot be decided.
+        """
+        if not len(self.values):
+            return np.zeros(0, dtype=np.int64)
+        since_first = self._since_first()
+        first = self._first()
+        chosen = unit or self.unit() or self._unit_of_one(first)
+        if chosen is None:
+            return np.zeros(len(self.values), dtype=np.int64)
+        self._check_steps(chosen)
+        scale = UNITS_NS[chosen]
+        if since_first.max() * scale > 2 * _NEAR_NS:
+            raise self._fault(f"times within {2 * _NEAR_NS / 1e9:g} s", f"{since_first.max() * scale / 1e9:.6g} s")
+        return np.rint(since_first * scale).astype(np.int64) + self._start_ns(first * scale)
+
+    def _start_ns(self, first_ns: Fraction) -> int:
+        """The first point's time since the stamp: times count from the stamp, from 1970 or from the full hour."""
+        if abs(first_ns) <= _NEAR_NS:
+            return round(first_ns)
+        if self.stamp_ns is None:
+            return 0
+        since_epoch = first_ns - self.stamp_ns
+        since_hour = (first_ns - self.stamp_ns % _HOUR_NS + _HOUR_NS // 2) % _HOUR_NS - _HOUR_NS // 2
+        for candidate, possible in ((since_epoch, True), (since_hour, 0 <= first_ns < _HOUR_NS)):
+            if possible and abs(candidate) <= _NEAR_NS:
+                return round(candidate)
+        raise self._fault(
+            f"times within {_NEAR_NS / 1e9:g} s of 0, of the sweep's stamp {self.stamp_ns} ns or of its time since the "
+            "full hour",
+            f"a first point at {float(first_ns) / 1e9:.9g} s: another clock's",
+        )
+
+    def _unit_of_one(self, first: Fraction) -> str | None:
+        """The unit of times that are all one: by the stamp that they repeat; None where they are 0 or there is none."""
+        if first == 0 or self.stamp_ns is None:
+            return None
+        near = [unit for unit, scale in UNITS_NS.items() if abs(first * scale - self.stamp_ns) <= _NEAR_NS]
+        if not near:
+            raise self._fault(
+                "times that differ from point to point, or the sweep's stamp", f"{self.values[0]} for all"
+            )
+        return near[0]
+
+    def _first(self) -> Fraction:
+        """The least time, exactly."""
+        least = self.values.min()
+        return Fraction(int(least)) if self.values.dtype.kind in "iu" else Fraction(float(least))
+
+    def _since_first(self) -> Float[np.ndarray, " n"]:
+        """Times since the least of them, in the column's unit, without overflow of any number type."""
+        if self.values.dtype.kind in "iu":
+            wide = self.values.astype(np.int64 if self.values.dtype.kind == "i" else np.uint64).view(np.uint64)
+            least = np.array(self.values.min()).astype(np.int64 if self.values.dtype.kind == "i" else np.uint64)
+            with np.errstate(over="ignore"):  # the difference modulo 2^64 is the difference
+                return (wide - least.view(np.uint64)).astype(np.float64)
+        if not np.isfinite(self.values).all():
+            raise self._fault("finite times", "some that are not")
+        values = self.values.astype(np.float64)
+        return values - values.min(initial=np.inf) if len(values) else values
+
+    def _bounds_ns(self) -> tuple[float, float]:
+        """Least and largest span of a sweep's times."""
+        if self.period_ns is None or not 0 < self.period_ns < _MOST_NS:  # keyframes tell no turn
+            return _LEAST_NS, _MOST_NS
+        return float(_LEAST_SHARE * self.period_ns), float(_MOST_SHARE * self.period_ns)
+
+    def _check_steps(self, unit: str) -> None:
+        """Refuse numbers whose steps are too wide, such as seconds since 1970 in float32: 128 s."""
+        if self.values.dtype.kind != "f":
+            return
+        step_ns = float(np.spacing(np.abs(self.values).max())) * UNITS_NS[unit]
+        if step_ns > self._bounds_ns()[1] / _STEPS:
+            raise self._fault(
+                "times that tell points apart", f"{self.values.dtype} in steps of {step_ns / 1e9:.3g} s ({unit})"
+            )
+
+    def _fault(self, expected: str, actual: str) -> FileFormatError:
+        return FileFormatError(
+            self.path, where=f"the points' times, column {self.name!r}", expected=expected, got=actual, fix=_FIX
+        )
