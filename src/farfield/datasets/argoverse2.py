@@ -18,6 +18,7 @@ from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import returned
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2
 
@@ -245,15 +246,14 @@ def _annotation(path: Path, where: str, table: Table, classes: str) -> Annotatio
 def _read_sweep(path: Path) -> Cloud:
     table = read_feather(path, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
     points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float32)
-    if not np.isfinite(points).all():
-        row = int(np.argwhere(~np.isfinite(points))[0][0])
-        actual = str(points[row].tolist())
-        raise FileFormatError(path, where=f"point {row}", expected="finite coordinates", got=actual)
+    valid = returned(path, points)
+    table = {name: values[valid] for name, values in table.items()}
     strength = table["intensity"].astype(np.float32) / np.float32(255)
     if not ((strength >= 0) & (strength <= 1)).all():
         actual = f"{strength.min() * 255:g} to {strength.max() * 255:g}"
         raise FileFormatError(path, where="column intensity", expected="values from 0 to 255", got=actual)
-    return Cloud(points, strength, {"ring": table["laser_number"], "offset_ns": table["offset_ns"]})
+    extra = {"ring": table["laser_number"], "offset_ns": table["offset_ns"]}
+    return Cloud(points[valid], strength, extra, int((~valid).sum()))
 
 
 def _nearest(paths: Sequence[Path], time_ns: int) -> Path | None:

@@ -16,6 +16,7 @@ from farfield.errors import ConfigError, DatasetError
 from farfield.files.astyx import LIDAR_COLUMNS, RADAR_COLUMNS, read_objects, read_points, read_sensors
 from farfield.files.images import image_size, read_image
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import returned
 from farfield.vocabulary.classes import CIRRUS_FROM_ASTYX, normalised_class
 
 RADAR, LIDAR, CAMERA = "radar_6455", "lidar_vlp16", "camera_front"
@@ -120,15 +121,19 @@ def _cameras(matrices: Mapping[str, Float[np.ndarray, "r c"]], picture: Path | N
 def _read_radar(path: Path) -> Cloud:
     x, y, z, velocity, magnitude = (column.astype(np.float32) for column in read_points(path, RADAR_COLUMNS))
     extra = {"v_r_m_s": velocity, "doppler_m_s": velocity, "magnitude_db": magnitude}
-    return Cloud(np.stack([x, y, z], axis=1), None, extra)
+    points = np.stack([x, y, z], axis=1)
+    valid = returned(path, points)
+    return Cloud(points[valid], None, {name: column[valid] for name, column in extra.items()}, int((~valid).sum()))
 
 
 def _read_lidar(path: Path, frame_T_lidar: Float[np.ndarray, "4 4"]) -> Cloud:
-    x, y, z, strength, ring, time_us = read_points(path, LIDAR_COLUMNS)
+    columns = read_points(path, LIDAR_COLUMNS)
+    valid = returned(path, np.stack(columns[:3], axis=1))
+    x, y, z, strength, ring, time_us = (column[valid] for column in columns)
     placed = np.stack([x, y, z], axis=1) @ frame_T_lidar[:3, :3].T + frame_T_lidar[:3, 3]
     intensity = np.clip(strength / _REFLECTIVITY_FULL, 0, 1).astype(np.float32)
     extra = {"ring": ring.astype(np.int64), "time_us": time_us.astype(np.int64)}
-    return Cloud(placed.astype(np.float32), intensity, extra)
+    return Cloud(placed.astype(np.float32), intensity, extra, int((~valid).sum()))
 
 
 def _read_annotation(path: Path, classes: str) -> Annotation:

@@ -10,7 +10,7 @@ import numpy as np
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_times, point_time_column
 from farfield.frame import Cloud
-from farfield.frame.cloud import columns_shown, intensity_scale_of, read_cloud, read_columns
+from farfield.frame.cloud import columns_shown, intensity_scale_of, read_cloud, read_columns, returned
 
 _LOOKED_AT = 8
 
@@ -67,10 +67,11 @@ class CloudReading:
         for path in self.samples:
             try:
                 columns = read_columns(path, bin_columns=self.bin_columns)
-                strengths.append(columns.get("intensity", np.zeros(0, dtype=np.float32)))
+                valid = returned(path, np.column_stack([columns[axis] for axis in "xyz" if axis in columns]))
+                strengths.append(columns["intensity"][valid] if "intensity" in columns else np.zeros(0, np.float32))
                 name = point_time_column(columns)
                 if unit == "auto" and name is not None:
-                    unit = PointTimeColumn(name, columns[name], path, None, self.period_ns).unit() or "auto"
+                    unit = PointTimeColumn(name, columns[name][valid], path, None, self.period_ns).unit() or "auto"
             except (FarfieldError, OSError):
                 continue
         scale = intensity_scale_of(strengths) if self.intensity_scale is None else float(self.intensity_scale)

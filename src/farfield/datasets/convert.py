@@ -183,7 +183,7 @@ def _to_cache(dataset: Dataset, overwrite: bool, bulk: JobOptions) -> Outcome:
         ]
     elif isinstance(reader, Folder):
         clouds = (reader.clouds[index] for index in dataset.origins)
-        sources = [(path, dataset.root, 5) for path in clouds if path.suffix == ".xyz"]
+        sources = [(path, dataset.root, 5) for path in clouds if path.suffix.lower() == ".xyz"]
         delimiter = "auto"
     else:
         sources = []

@@ -70,7 +70,7 @@ def _task(folder: Path) -> CvatTask | None:
         labels = tuple(sorted(folder.glob(pattern)))
         if labels and (folder / cloud_folder).is_dir():
             paths = sorted((folder / cloud_folder).rglob("*"))
-            clouds = tuple(path for path in paths if path.suffix in CLOUD_SUFFIXES and path.is_file())
+            clouds = tuple(path for path in paths if path.suffix.lower() in CLOUD_SUFFIXES and path.is_file())
             return CvatTask(folder, clouds, labels, parse) if clouds else None
     return None
 

@@ -34,12 +34,13 @@ from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
 from farfield.files.point_times import PointTimes
+from farfield.files.suffixes import both_cases
 from farfield.frame import Annotation, Boxes, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
 
 TABLE_NAME = "labels.csv"
 _BOX_FOLDERS = ("", "boxes", "labels")
-_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+_IMAGE_SUFFIXES = both_cases((".jpg", ".jpeg", ".png"))
 _MAX_BYTES = 64 << 20
 _NANOSECONDS = re.compile(r"\d{16,19}")
 
@@ -200,7 +201,9 @@ class Folder(Dataset):
         own = self.root / MAPPING_NAME
         self.mapping_path = Path(mapping) if mapping is not None else own if own.is_file() else None
         self.classes = {} if self.mapping_path is None else read_class_mapping(self.mapping_path)
-        self.clouds = sorted(path for path in self.root.iterdir() if path.suffix in CLOUD_SUFFIXES and path.is_file())
+        self.clouds = sorted(
+            path for path in self.root.iterdir() if path.suffix.lower() in CLOUD_SUFFIXES and path.is_file()
+        )
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected clouds with suffix {', '.join(CLOUD_SUFFIXES)}; found none")
         self.frame_ids = tuple(path.stem for path in self.clouds)

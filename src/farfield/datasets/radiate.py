@@ -21,6 +21,7 @@ from farfield.files.images import read_image
 from farfield.files.radiate import RadiateTracks, read_times, read_tracks
 from farfield.files.xyz import read_xyz
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import returned
 from farfield.geometry.poses import pose
 from farfield.radar.turning import CARTESIAN_SHAPE, CELL_M, CENTRE_PX, POLAR_SHAPE, TURN_S, strongest_cells
 from farfield.vocabulary.classes import normalised_class
@@ -241,13 +242,15 @@ def radar_cloud(path: Path, share: float) -> Cloud:
 
 def lidar_cloud(path: Path) -> Cloud:
     """Read a lidar sweep (x right, y forward, z up, intensity 0 to 255, ring) into the radar's frame."""
-    rows = read_xyz(path, columns=5, delimiter=",")
+    rows = read_xyz(path, columns=5, delimiter=",", on_nan="keep")
+    valid = returned(path, rows[:, :3])
+    rows = rows[valid]
     points = np.column_stack([rows[:, 1], -rows[:, 0], rows[:, 2]]) + np.array(RADAR_T_LIDAR_M)
     if not ((rows[:, 3] >= 0) & (rows[:, 3] <= 255)).all():
         actual = f"{rows[:, 3].min():g} to {rows[:, 3].max():g}"
         raise FileFormatError(path, where="column 4, intensity", expected="values from 0 to 255", got=actual)
     intensity = (rows[:, 3] / 255).astype(np.float32)
-    return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)})
+    return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)}, int((~valid).sum()))
 
 
 def annotation_of(rows: RadiateTracks, classes: str = "cirrus") -> Annotation:

@@ -21,11 +21,12 @@ from farfield.files.cuboids import numbers
 from farfield.files.images import image_size, read_image
 from farfield.files.json_text import parse_json
 from farfield.files.point_times import PointTimes
+from farfield.files.suffixes import any_case, both_cases
 from farfield.files.sustechpoints import MAX_BYTES, parse_sustechpoints
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
 
-_IMAGES = (".jpg", ".jpeg", ".png")
+_IMAGES = both_cases((".jpg", ".jpeg", ".png"))
 
 
 def scenes(root: Path) -> list[Path]:
@@ -36,7 +37,7 @@ def scenes(root: Path) -> list[Path]:
 
 
 def _is_scene(folder: Path) -> bool:
-    clouds = (path for suffix in CLOUD_SUFFIXES for path in folder.glob(f"lidar/*{suffix}"))
+    clouds = (path for suffix in CLOUD_SUFFIXES for path in folder.glob(f"lidar/*{any_case(suffix)}"))
     return next(clouds, None) is not None and ((folder / "label").is_dir() or (folder / "calib").is_dir())
 
 
@@ -72,7 +73,7 @@ class SustechPoints(Dataset):
             path
             for scene in self.scenes
             for path in sorted((scene / "lidar").iterdir())
-            if path.suffix in CLOUD_SUFFIXES
+            if path.suffix.lower() in CLOUD_SUFFIXES
         ]
         self.sequences = tuple(path.parent.parent.resolve().name for path in self.clouds)
         self.frame_ids = tuple(path.stem for path in self.clouds)

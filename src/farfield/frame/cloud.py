@@ -42,7 +42,8 @@ class Cloud:
         intensity: Return strength in [0, 1], shape (n,), kept as float32; None where it is not known, and for a radar,
             whose power or cross-section is a column of its own.
         extra: Further columns by name, each of shape (n,): ``ring``, ``time_ns``, ``power``, ``doppler_m_s``...
-        missing: Rows of the file that had no place, as organised clouds mark a direction without return; left out.
+        missing: Rows of the file without a place (NaN, or 0, 0, 0), as sensors mark directions without return; they
+            are left out.
 
     Raises:
         ValueError: If columns differ in length, points have no three numbers or an intensity lies outside [0, 1].
@@ -185,7 +186,7 @@ class Cloud:
     def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Cloud":
         """Move all points rigidly into another frame."""
         moved = transform_points(target_T_source, self.points_m.astype(np.float64)).astype(np.float32)
-        return Cloud(moved, self.intensity, self.extra)
+        return Cloud(moved, self.intensity, self.extra, self.missing)
 
     def in_boxes(self, boxes: Boxes, *, margin_m: float = 0.0) -> list[Int[np.ndarray, " _"]]:
         """Indices of the points inside each box, one array a box."""
@@ -237,24 +238,25 @@ def read_rows(
             fix = "Delete the cache file, or write it anew: farfield convert DATA --to cache --overwrite."
             raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", got=actual, fix=fix)
         return good
-    return list(read_xyz(source, columns=columns, delimiter=delimiter).T)
+    return list(read_xyz(source, columns=columns, delimiter=delimiter, on_nan="keep").T)
 
 
 def write_rows_cache(source: Path, root: Path, *, columns: int | None = None, delimiter: str = "auto") -> Path:
     """Parse an ASCII cloud and write its cache; returns the cache's path.
 
-    Columns are float32, except where numbers above 100,000 (times, identities) need float64.
+    Rows that are NaN, where nothing returned, stay. Columns are float32, except where numbers above 100,000 (times,
+    identities) need float64.
     """
     from farfield.files.clouds import write_cache
     from farfield.files.xyz import read_xyz
 
-    rows = read_xyz(source, columns=columns, delimiter=delimiter)
+    rows = read_xyz(source, columns=columns, delimiter=delimiter, on_nan="keep")
     cached = cache_path(source, root)
     cached.parent.mkdir(parents=True, exist_ok=True)
     write_cache(
         cached,
         {
-            f"c{number}": column.astype(np.float32 if np.abs(column).max(initial=0.0) < 1e5 else np.float64)
+            f"c{number}": column.astype(np.float32 if np.nanmax(np.abs(column), initial=0.0) < 1e5 else np.float64)
             for number, column in enumerate(rows.T)
         },
     )
@@ -316,25 +318,29 @@ def read_columns(path: Path, *, bin_columns: int | None = None) -> dict[str, Sha
     from farfield.files.clouds import bin_columns as bin_columns_of
     from farfield.files.clouds import names_of
 
-    if path.suffix == ".pcd":
+    suffix = path.suffix.lower()
+    if suffix == ".pcd":
         from farfield.files.pcd import read_pcd
 
         return named_columns(path, read_pcd(path))
-    if path.suffix == ".ffcloud":
+    if suffix == ".ffcloud":
         from farfield.files.clouds import read_cache
 
         return named_columns(path, read_cache(path))
-    if path.suffix == ".bin":
+    if suffix == ".bin":
         from farfield.files.clouds import read_bin
 
-        rows = read_bin(path, columns=bin_columns_of(path).count if bin_columns is None else bin_columns)
-    elif path.suffix == ".xyz":
+        count = bin_columns_of(path).count if bin_columns is None else bin_columns
+        rows = read_bin(path, columns=count, on_nan="keep")
+    elif suffix == ".xyz":
         rows = np.column_stack(read_rows(path, path.parent, columns=xyz_columns(path)))
-    elif path.suffix == ".npy":
+    elif suffix == ".npy":
         rows = _read_npy(path)
+        if rows.dtype.names is not None:
+            return named_columns(path, {name: rows[name] for name in rows.dtype.names})
     else:
         raise DatasetError(f"{path}: expected a cloud with suffix {', '.join(CLOUD_SUFFIXES)}")
-    return dict(zip(names_of(rows), rows.T, strict=True))
+    return dict(zip(names_of(rows[returned(path, rows[:, :3])]), rows.T, strict=True))
 
 
 INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "signal")
@@ -386,6 +392,9 @@ def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
 
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise ConfigError(f"expected rows of 3 or more numbers, got shape {rows.shape} of {rows.dtype}")
+    if not np.isfinite(rows[:, :3]).all():
+        row = int(np.argwhere(~np.isfinite(rows[:, :3]))[0][0])
+        raise DatasetError(f"array: expected finite coordinates, got {rows[row, :3].tolist()} in point {row}")
     return _from_columns(Path("array"), dict(zip(names_of(rows), rows.T, strict=True)))
 
 
@@ -404,11 +413,17 @@ def columns_shown(paths: Sequence[Path]) -> int | None:
     return columns.count if columns.likely else None
 
 
-def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
+def _read_npy(path: Path) -> Shaped[np.ndarray, "..."]:
     try:
         rows = np.load(path, allow_pickle=False, mmap_mode="r")  # the header's size is checked against the file's
     except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:  # numpy parses a Python literal
         raise DatasetError(f"{path}: expected a .npy file of numbers, found: {error}") from error
+    if rows.dtype.names is not None:  # fields by name, one row a point or organised in rows and columns
+        kinds = {name: rows.dtype[name].base for name in rows.dtype.names}
+        wrong = [name for name, kind in kinds.items() if kind.kind not in "fiub" or kind.names is not None]
+        if wrong:
+            raise DatasetError(f"{path}: expected fields of numbers, got {wrong[0]!r} of {rows.dtype[wrong[0]]}")
+        return np.array(rows).reshape(-1)
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise DatasetError(f"{path}: expected rows of at least 3 numbers, got shape {rows.shape} of {rows.dtype}")
     if rows.shape[1] > _MOST_COLUMNS >= rows.shape[0] >= 3:  # a row a quantity, not a row a point
@@ -417,11 +432,11 @@ def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
 
 
 def xyz_columns(path: Path) -> int | None:
-    """Columns of an ASCII cloud with fewer than Cirrus' five: three, or four; None leaves it to the reader."""
+    """Columns of an ASCII cloud, three or more; None leaves it to the reader, which names what is wrong."""
     with path.open("rb") as handle:
         first = handle.read(_LINE_BYTES).partition(b"\n")[0].decode("ascii", errors="replace")
     count = len(first.replace(";", " ").replace(",", " ").split())
-    return count if count in (3, 4) else None
+    return count if 3 <= count <= _MOST_COLUMNS else None
 
 
 def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: CloudSettings = _OWN_SETTINGS) -> Cloud:
@@ -429,13 +444,10 @@ def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: Cloud
     if lacking:
         raise DatasetError(f"{path}: expected columns x, y, z; missing {', '.join(lacking)} of {', '.join(columns)}")
     points = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float32)
-    valid = np.isfinite(points).all(axis=1)
-    if path.suffix == ".pcd" and not valid.all() and np.isnan(points[~valid]).any(axis=1).all():
-        returned = {name: value[valid] for name, value in columns.items()}  # NaN: nothing came back
-        return replace(_from_columns(path, returned, settings), missing=int((~valid).sum()))
+    valid = returned(path, points)
     if not valid.all():
-        row = int(np.argwhere(~np.isfinite(points))[0][0])
-        raise DatasetError(f"{path}: expected finite coordinates, got {points[row].tolist()} in point {row}")
+        rest = {name: value[valid] for name, value in columns.items()}
+        return replace(_from_columns(path, rest, settings), missing=int((~valid).sum()))
     if len(points) and np.hypot(points[:, 0], points[:, 1]).min() > _NEAREST_M:
         raise DatasetError(
             f"{path}: expected metres from the sensor, got points of which the nearest lies "
@@ -446,6 +458,24 @@ def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: Cloud
     scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
     extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
     return Cloud(points, scaled_intensity(path, strength, scale), with_offsets(path, extra, settings))
+
+
+def returned(path: Path | str, points_m: Num[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which rows of a cloud are points: where nothing returned, sensors write NaN or 0, 0, 0, shape (n,).
+
+    Args:
+        path: The file, for messages.
+        points_m: x, y, z in the sensor's own coordinates, before they are moved anywhere.
+
+    Raises:
+        DatasetError: If a coordinate is infinite.
+    """
+    infinite = np.isinf(points_m).any(axis=1)
+    if infinite.any():
+        row = int(np.argmax(infinite))
+        raise DatasetError(f"{path}: expected finite coordinates, got {points_m[row].tolist()} in point {row}")
+    valid: np.ndarray = ~np.isnan(points_m).any(axis=1) & (points_m != 0).any(axis=1)
+    return valid
 
 
 def with_offsets(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Int64, Shaped, UInt8
+from jaxtyping import Bool, Int64, Shaped, UInt8
 
 from farfield.datasets.bags.transforms import Transforms
 from farfield.datasets.base import Dataset, Indices, Poses, all_poses
@@ -20,6 +20,7 @@ from farfield.frame.cloud import (
     CloudSettings,
     intensity_scale_of,
     named_columns,
+    returned,
     scaled_intensity,
     with_offsets,
 )
@@ -117,11 +118,12 @@ class IndexedBag:
         """One full scale and one unit of times for all clouds of a topic."""
         scale, unit = self.intensity_scale, self.point_times
         if scale is None:
-            scale = intensity_scale_of([columns["intensity"] for columns in samples if "intensity" in columns])
+            strengths = [columns["intensity"][_has_place(columns)] for columns in samples if "intensity" in columns]
+            scale = intensity_scale_of(strengths)
         for columns in samples:
             name = point_time_column(columns)
             if unit == "auto" and name is not None:
-                times = returned(columns, name)
+                times = columns[name][_has_place(columns)]
                 unit = PointTimeColumn(name, times, self.bag.path, None, period_ns).unit() or "auto"
         return CloudSettings(intensity_scale=scale, point_times=unit, period_ns=period_ns)
 
@@ -285,7 +287,7 @@ def find_bags(root: Path) -> list[Path]:
     """The bag that a folder is, or those in it: folders with metadata, and lone files."""
     if is_bag(root):
         return [root]
-    lone = [path for path in root.iterdir() if path.suffix in SUFFIXES and path.is_file()]
+    lone = [path for path in root.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
     return sorted([*lone, *(path for path in root.iterdir() if path.is_dir() and is_bag(path))])
 
 
@@ -306,10 +308,12 @@ def is_radar(names: Any) -> bool:
     return any(term in str(name).lower() for name in names for term in RADAR)
 
 
-def returned(columns: Columns, name: str) -> Shaped[np.ndarray, " m"]:
-    """One column of the points that have a place."""
-    places = np.column_stack([columns[axis] for axis in "xyz" if axis in columns] or [np.zeros(len(columns[name]))])
-    return columns[name][np.isfinite(places).all(axis=1)]
+def _has_place(columns: Columns) -> Bool[np.ndarray, " n"]:
+    """Which points are none that mark a direction without return; all where there is no place at all."""
+    if not all(axis in columns for axis in "xyz"):
+        return np.full(len(next(iter(columns.values()))), True)
+    places = np.column_stack([columns[axis] for axis in "xyz"])
+    return np.isfinite(places).all(axis=1) & (places != 0).any(axis=1)
 
 
 def load_cloud(
@@ -321,7 +325,7 @@ def load_cloud(
     settings: CloudSettings,
     target_T_sensor: np.ndarray | None = None,
 ) -> Cloud:
-    """Read one cloud of a bag; points that are not finite ("no return") are left out.
+    """Read one cloud of a bag; points without a place (not finite, or 0, 0, 0: no return) are left out and counted.
 
     Args:
         bag: The bag.
@@ -351,10 +355,11 @@ def cloud_of(columns: Columns, path: Path | str, settings: CloudSettings) -> Clo
     if missing:
         raise FileFormatError(path, where="a point cloud", expected="fields x, y, z", got=", ".join(columns) or "none")
     points = np.column_stack([columns[name] for name in "xyz"]).astype(np.float32)
-    finite = np.isfinite(points).all(axis=1)
-    rest = {name: values[finite] for name, values in columns.items() if name not in "xyz"}
+    points[np.isinf(points).any(axis=1)] = np.nan
+    valid = returned(path, points)
+    rest = {name: values[valid] for name, values in columns.items() if name not in "xyz"}
     strength = rest.pop("intensity", None)
     if strength is not None:
         scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
         strength = scaled_intensity(path, strength, scale)
-    return Cloud(points[finite], strength, with_offsets(path, rest, settings))
+    return Cloud(points[valid], strength, with_offsets(path, rest, settings), int((~valid).sum()))

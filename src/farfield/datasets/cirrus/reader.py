@@ -24,7 +24,7 @@ from farfield.datasets.cirrus.layout import (
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.frame import Annotation, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import intensity_scale_of, read_rows, scaled_intensity
+from farfield.frame.cloud import intensity_scale_of, read_rows, returned, scaled_intensity
 from farfield.vocabulary.patterns import PATTERNS
 
 # Sweeps: one .xyz file as a cloud.
@@ -103,11 +103,13 @@ class CirrusSweep:
             FileFormatError: If the file is damaged or its intensity exceeds the scale.
         """
         columns = self.columns()
+        points = np.stack([columns[axis] for axis in "xyz"], axis=1).astype(np.float32)
+        valid = returned(self.path, points)
+        columns = {name: column[valid] for name, column in columns.items()}
         scale = self.scale.by_pattern[self.pattern]
         strength = scaled_intensity(self.path, columns["intensity"], scale)
-        points = np.stack([columns[axis] for axis in "xyz"], axis=1).astype(np.float32)
         extra = {name: column for name, column in columns.items() if name not in ("x", "y", "z", "intensity")}
-        return Cloud(points, strength, extra)
+        return Cloud(points[valid], strength, extra, int((~valid).sum()))
 
 
 class Cirrus(Dataset):

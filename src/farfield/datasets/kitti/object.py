@@ -28,10 +28,13 @@ from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
 from farfield.files.point_times import PointTimes
+from farfield.files.suffixes import any_case, both_cases
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import returned
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
-_IMAGE_SUFFIXES = (".png", ".jpg")
+_IMAGE_SUFFIXES = both_cases((".png", ".jpg"))
+_CLOUDS = f"velodyne/*{any_case('.bin')}"
 _COLUMNS = 4
 
 
@@ -72,8 +75,8 @@ class Kitti(Dataset):
             raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
         self.root, self.classes = Path(root), classes
         folders = [self.root / part, self.root]
-        self.folder = next((folder for folder in folders if any(folder.glob("velodyne/*.bin"))), folders[0])
-        self.clouds = sorted(self.folder.glob("velodyne/*.bin"))
+        self.folder = next((folder for folder in folders if any(folder.glob(_CLOUDS))), folders[0])
+        self.clouds = sorted(self.folder.glob(_CLOUDS))
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected KITTI clouds in {part}/velodyne/*.bin, found none")
         self.frame_ids = tuple(path.stem for path in self.clouds)
@@ -178,7 +181,7 @@ _RANGE = COLUMNS.index("range_m")
 def is_tj4dradset(root: Path) -> bool:
     """Whether a folder in KITTI's layout holds points of eight numbers whose fifth is their range."""
     for base in (root / "training", root / "testing", root):
-        first = next(iter(sorted(base.glob("velodyne/*.bin"))[:1]), None)
+        first = next(iter(sorted(base.glob(_CLOUDS))[:1]), None)
         if first is not None:
             try:
                 columns = bin_columns(first)
@@ -214,8 +217,10 @@ def read_radar(path: Path) -> Cloud:
         FileFormatError: If the file is damaged.
     """
     rows = read_bin(path, columns=len(COLUMNS))
+    valid = returned(path, rows[:, :3])
+    rows = rows[valid]
     extra = {name: np.ascontiguousarray(rows[:, number]) for number, name in enumerate(COLUMNS) if number > 2}
-    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]})
+    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]}, int((~valid).sum()))
 
 
 # Writing KITTI's layout.

@@ -23,6 +23,7 @@ from farfield.files.images import read_image
 from farfield.files.kitti import read_raw_calib, read_record, rectified, rigid
 from farfield.files.point_times import PointTimes
 from farfield.files.stamps import read_stamps, recognise_stamps
+from farfield.files.suffixes import any_case, both_cases
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
 from farfield.geometry.poses import invert, pose
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 CLOUDS, CAMERAS = "velodyne_points", ("image_00", "image_01", "image_02", "image_03")
 _COLUMNS = 4
 _LABELS = "tracklet_labels.xml"
-_IMAGES = (".png", ".jpg")
+_IMAGES = both_cases((".png", ".jpg"))
 _STAMPS = {"middle": "timestamps.txt", "start": "timestamps_start.txt", "end": "timestamps_end.txt"}
 _EARTH_M = 6_378_137.0
 
@@ -69,7 +70,9 @@ class KittiRaw(Dataset):
     ) -> None:
         self.root = Path(root)
         self.folders = drives_in(self.root)
-        self.clouds = [path for folder in self.folders for path in sorted((folder / CLOUDS / "data").glob("*.bin"))]
+        self.clouds = [
+            path for folder in self.folders for path in sorted((folder / CLOUDS / "data").glob(f"*{any_case('.bin')}"))
+        ]
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected drives with {CLOUDS}/data/*.bin and timestamps, found none")
         self._first_record = {folder: min(folder.glob("oxts/data/*.txt"), default=None) for folder in self.folders}

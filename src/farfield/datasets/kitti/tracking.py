@@ -20,11 +20,13 @@ from farfield.errors import DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiTracks, read_calib, read_tracking
 from farfield.files.point_times import PointTimes
+from farfield.files.suffixes import any_case, both_cases
 from farfield.frame import Annotation, CameraField, Frame, Lazy
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
 _LABEL_FOLDERS = ("label_02", "label")
 _COLUMNS = 4
+_CLOUDS = f"*{any_case('.bin')}"
 
 
 class KittiTracking(Dataset):
@@ -62,7 +64,7 @@ class KittiTracking(Dataset):
     ) -> None:
         self.root, self.classes = Path(root), classes
         self.folder = self.root / part if (self.root / part).is_dir() else self.root
-        names = {path.parent.name for path in self.folder.glob("velodyne/*/*.bin")}
+        names = {path.parent.name for path in self.folder.glob(f"velodyne/*/{_CLOUDS}")}
         self.labels = {p.stem: p for name in reversed(_LABEL_FOLDERS) for p in self.folder.glob(f"{name}/*.txt")}
         self._tracks = {sequence: _TrackFile(path) for sequence, path in self.labels.items()}
         names |= self.labels.keys()
@@ -73,7 +75,7 @@ class KittiTracking(Dataset):
         self.sequences = tuple(name for name, _ in keys)
         self.frame_ids = tuple(stem for _, stem in keys)
         self.reading = CloudReading(
-            sorted(self.folder.glob("velodyne/*/*.bin")),
+            sorted(self.folder.glob(f"velodyne/*/{_CLOUDS}")),
             bin_columns=bin_columns,
             intensity_scale=intensity_scale,
             point_times=point_times,
@@ -82,7 +84,7 @@ class KittiTracking(Dataset):
         )
 
     def _stems(self, sequence: str) -> list[str]:
-        clouds = [path.stem for path in sorted(self.folder.glob(f"velodyne/{sequence}/*.bin"))]
+        clouds = [path.stem for path in sorted(self.folder.glob(f"velodyne/{sequence}/{_CLOUDS}"))]
         if clouds or sequence not in self.labels:
             return clouds
         frames = self.tracks(sequence).frame
@@ -101,8 +103,8 @@ class KittiTracking(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``; label and calibration files are shared by their sequence."""
         beside = [
-            self._file(index, "velodyne", ".bin"),
-            self._file(index, "image_02", ".png", ".jpg"),
+            self._file(index, "velodyne", *both_cases([".bin"])),
+            self._file(index, "image_02", *both_cases((".png", ".jpg"))),
             self.labels.get(self.sequences[index]),
             self._calib(index),
         ]
@@ -115,7 +117,10 @@ class KittiTracking(Dataset):
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         sequence, stem = self.sequences[index], self.frame_ids[index]
-        cloud, image = self._file(index, "velodyne", ".bin"), self._file(index, "image_02", ".png", ".jpg")
+        cloud, image = (
+            self._file(index, "velodyne", *both_cases([".bin"])),
+            self._file(index, "image_02", *both_cases((".png", ".jpg"))),
+        )
         calib_path = self._calib(index)
         calib = None if calib_path is None else read_calib(calib_path)
         cameras = {} if calib is None else {"camera": sized_camera(calib, image)}

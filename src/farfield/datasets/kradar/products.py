@@ -213,7 +213,8 @@ def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
         extra["column"] = (np.arange(len(points)) % columns).astype(np.uint16)
     with np.errstate(invalid="ignore"):
         strength = np.clip(np.nan_to_num(signal / np.float32(INTENSITY_COUNTS)), 0, 1).astype(np.float32)
-    return Cloud(points[returned], strength[returned], {name: values[returned] for name, values in extra.items()})
+    rest = {name: values[returned] for name, values in extra.items()}
+    return Cloud(points[returned], strength[returned], rest, int((~returned).sum()))
 
 
 def _times_ns(path: Path, times: Num[np.ndarray, " n"], returned: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:

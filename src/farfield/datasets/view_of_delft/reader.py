@@ -36,7 +36,7 @@ from farfield.frame import (
     Sensor,
     camera_sensor,
 )
-from farfield.frame.cloud import read_cloud
+from farfield.frame.cloud import read_cloud, returned
 from farfield.geometry.kitti import upright_from_camera
 from farfield.geometry.poses import rotation_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_VIEW_OF_DELFT, normalised_class
@@ -322,6 +322,8 @@ def read_radar(path: Path) -> Cloud:
         FileFormatError: If the file is damaged.
     """
     rows = read_bin(path, columns=RADAR_COLUMNS)
+    valid = returned(path, rows[:, :3])
+    rows = rows[valid]
     rcs_dbsm = rows[:, 3]
     extra = {
         "rcs_dbsm": rcs_dbsm,
@@ -331,7 +333,8 @@ def read_radar(path: Path) -> Cloud:
         "scan": rows[:, 6],
         "lag_s": np.abs(rows[:, 6]) / np.float32(RADAR_RATE_HZ),
     }
-    return Cloud(rows[:, :3].copy(), None, {name: np.ascontiguousarray(column) for name, column in extra.items()})
+    contiguous = {name: np.ascontiguousarray(column) for name, column in extra.items()}
+    return Cloud(rows[:, :3].copy(), None, contiguous, int((~valid).sum()))
 
 
 def radar_velocity_m_s(cloud: Cloud) -> Float[np.ndarray, " 3"] | None:
