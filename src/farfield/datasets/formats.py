@@ -88,9 +88,9 @@ def is_argoverse2(root: Path) -> bool:
 
 def is_kradar(root: Path) -> bool:
     """Whether a folder holds K-Radar or a part of it."""
-    from farfield.datasets.kradar.index import find_sequences
+    from farfield.datasets.kradar.index import find_sequences, with_disks
 
-    return bool(find_sequences([root]))
+    return bool(find_sequences(with_disks([root])))
 
 
 def is_astyx(root: Path) -> bool:

@@ -81,6 +81,11 @@ def spellings(product: str, sequence: str, index: int) -> tuple[Path, ...]:
     return (path,)
 
 
+def with_disks(roots: Iterable[Path]) -> tuple[Path, ...]:
+    """Roots and, after each, the folders of its disks, as the authors call them: ``dir_1to20``, ``dir_21to37``..."""
+    return tuple(path for root in roots for path in (root, *sorted(p for p in root.glob("dir_*to*") if p.is_dir())))
+
+
 def find_sequences(roots: Sequence[Path]) -> list[str]:
     """Sequences of which some product, LiDAR sweep or annotation stands below one of the roots, in order."""
     patterns = [product_path(product, "*", 0).parent for product in (*RADAR_PRODUCTS, *LIDARS)]

@@ -5,13 +5,13 @@ the development kit negates both angles of the stored axes and flips the cube's 
 """
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64, Num, Shaped, UInt8
+from jaxtyping import Bool, Float, Float32, Int64, Num, Shaped, UInt8
 from PIL import Image
 
 from farfield.datasets.kradar.layout import LIDARS, SPARSE_COLUMNS
@@ -24,7 +24,7 @@ from farfield.files.pcd import read_pcd, write_pcd
 from farfield.files.point_times import PointTimeColumn
 from farfield.files.radar_cells import read_radar_cells, write_radar_cells
 from farfield.frame import Cloud
-from farfield.radar.axes import KRADAR_AXES, RadarAxes, cube_gather
+from farfield.radar.axes import KRADAR_AXES, OUTSIDE, RadarAxes, cube_gather
 from farfield.radar.cells import RATES, RadarCells
 from farfield.radar.products import (
     Moments,
@@ -60,7 +60,8 @@ def write_radar(
             ``"cube"``: z x y x x (150, 400, 250), -1 outside the field of view; ``"polar3d"``: power / 1e13 and Doppler
             in m/s, each range x azimuth x elevation, (2, 256, 107, 37); ``"sparse"``, ``"sparse_1p"``,
             ``"corridor"``: x, y, z, power / 1e13 (and Doppler) in the radar's frame, shape (n, 4 or 5);
-            ``"polar_cloud"``, ``"polar_cloud_1p"``: the same with Doppler, or 11 columns; ``"cells"``: the cells of a
+            ``"polar_cloud"``, ``"polar_cloud_1p"``, ``_5p``, ``_20p``, ``_30p``: the same with Doppler, or 11 columns;
+            ``"cells"``: the cells of a
             region, Farfield's own store. Angles, z and y rise in our sense: to the left and up.
         values: The product.
         dtype: Dtype of the tesseract and the cube in the file; the real ones have float64. The others get float64.
@@ -94,13 +95,69 @@ def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."] | RadarCel
     if product == "cells":
         return read_cells(path)
     if product == "tesseract":
-        return _checked(path, read_mat(path, "arrDREA"), TESSERACT_SHAPE)[:, :, ::-1, ::-1]
+        tensor = _checked(path, read_mat(path, "arrDREA"), TESSERACT_SHAPE)
+        check_power(path, tensor)
+        return tensor[:, :, ::-1, ::-1]
     if product == "cube":
-        return _checked(path, read_mat(path, "arr_zyx"), CUBE_SHAPE)[::-1]
+        cube = _checked(path, read_mat(path, "arr_zyx"), CUBE_SHAPE)
+        check_power(path, cube, outside=OUTSIDE)
+        return cube[::-1]
     if product == "polar3d":
-        return _checked(path, read_npy(path), POLAR_SHAPE)[:, :, ::-1, ::-1]
+        polar = _checked(path, read_npy(path), POLAR_SHAPE)
+        check_power(path, polar[0])
+        _check_finite(path, polar[1])
+        return polar[:, :, ::-1, ::-1]
     points = read_npy(path)
-    return _checked(path, points, (len(points) if points.ndim else 0, _columns(product, points)))
+    points = _checked(path, points, (len(points) if points.ndim else 0, _columns(product, points)))
+    check_power(path, points[:, 3])
+    _check_finite(path, points)
+    return points
+
+
+def check_power(path: Path | str, power: Float[np.ndarray, "..."], *, outside: float | None = None) -> None:
+    """Refuse power that cannot be measured: a damaged file must not become cells that look sound.
+
+    Args:
+        path: The file.
+        power: Linear power.
+        outside: What stands for a cell outside the field of view, besides.
+
+    Raises:
+        FileFormatError: If a cell is not finite or negative.
+    """
+    if not power.size:
+        return
+    least, largest = power.min(), power.max()  # both are NaN where a cell is
+    if np.isfinite(largest) and (least >= 0 or (least == outside and not _impossible(power, outside).any())):
+        return
+    wrong = _impossible(power, outside)
+    raise FileFormatError(
+        path,
+        where="the power",
+        expected="finite power of 0 or more"
+        + ("" if outside is None else f", or {outside:g} outside the field of view"),
+        got=f"{int(wrong.sum())} cell(s) such as {power[wrong][0]:g}",
+        fix="The file is damaged: fetch it again, or leave the frame out.",
+    )
+
+
+def _impossible(power: Float[np.ndarray, "..."], outside: float | None) -> Bool[np.ndarray, "..."]:
+    """Cells whose power is not finite or negative."""
+    with np.errstate(invalid="ignore"):
+        wrong: np.ndarray = ~((power >= 0) & (power < np.inf)) & (power != (np.nan if outside is None else outside))
+    return wrong
+
+
+def _check_finite(path: Path, values: Float[np.ndarray, "..."]) -> None:
+    if not np.isfinite(values).all():
+        got = f"{int((~np.isfinite(values)).sum())} that are not"
+        raise FileFormatError(path, where="the array", expected="finite numbers", got=got, fix="The file is damaged.")
+
+
+def _sound_blocks(path: Path | str, blocks: Iterable[Float[np.ndarray, "n d"]]) -> Iterator[Float[np.ndarray, "n d"]]:
+    for block in blocks:
+        check_power(path, block)
+        yield block
 
 
 def _columns(product: str, values: Shaped[np.ndarray, "..."]) -> int:
@@ -275,7 +332,7 @@ def read_moments(path: Path | str, axes: RadarAxes = KRADAR_AXES) -> Moments:
         if stream.shape != TESSERACT_SHAPE or stream.dtype.kind != "f":
             expected, actual = f"floating-point numbers of shape {TESSERACT_SHAPE}", f"{stream.dtype} of {stream.shape}"
             raise FileFormatError(path, where="the array", expected=expected, got=actual)
-        reduced = moments_of_columns(stream.blocks(_BLOCK_CELLS), axes)
+        reduced = moments_of_columns(_sound_blocks(path, stream.blocks(_BLOCK_CELLS)), axes)
     return Moments(*(np.ascontiguousarray(values[:, ::-1, ::-1]) for values in reduced))
 
 
