@@ -45,18 +45,20 @@ _MAX_BYTES = 64 << 20
 _NANOSECONDS = re.compile(r"\d{16,19}")
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
+_Angle = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
 
 
 class _BoxEntry(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
-    label: str
-    centre_m: tuple[_Finite, _Finite, _Finite]
+    label: Annotated[str, Field(pattern=r"\S")]
+    centre_m: tuple[_Coordinate, _Coordinate, _Coordinate]
     size_m: tuple[_Positive, _Positive, _Positive]
-    yaw_rad: _Finite
+    yaw_rad: _Angle
     score: _Finite | None = None
-    track_id: int | None = None
+    track_id: Annotated[int, Field(ge=-1, lt=1 << 53)] | None = None
     velocity_m_s: tuple[_Finite, _Finite] | tuple[_Finite, _Finite, _Finite] | None = None
 
 
