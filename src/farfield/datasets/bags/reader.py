@@ -325,7 +325,7 @@ def load_cloud(
     settings: CloudSettings,
     target_T_sensor: np.ndarray | None = None,
 ) -> Cloud:
-    """Read one cloud of a bag; points without a place (not finite, or 0, 0, 0: no return) are left out and counted.
+    """Read one cloud of a bag; rows without a place (not finite, or 0, 0, 0: no return) are left out and counted.
 
     Args:
         bag: The bag.
