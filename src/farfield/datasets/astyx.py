@@ -15,6 +15,7 @@ from farfield.datasets.base import Dataset, Indices
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.astyx import LIDAR_COLUMNS, RADAR_COLUMNS, read_objects, read_points, read_sensors
 from farfield.files.images import image_size, read_image
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
 from farfield.vocabulary.classes import CIRRUS_FROM_ASTYX, normalised_class
@@ -26,7 +27,7 @@ _REFLECTIVITY_FULL = 255.0
 def root_of(folder: Path) -> Path | None:
     """Where the radar's folder stands: in the folder, or in the one of the archive's name in it."""
     candidates = (folder, folder / "dataset_astyx_hires2019")
-    return next((candidate for candidate in candidates if any((candidate / RADAR).glob("*.txt"))), None)
+    return next((candidate for candidate in candidates if any((candidate / RADAR).glob("*" + any_case(".txt")))), None)
 
 
 class Astyx(Dataset):
@@ -56,7 +57,7 @@ class Astyx(Dataset):
         if folder is None:
             raise DatasetError(f"{self.root}: expected {RADAR}/*.txt, found none")
         self.folder = folder
-        self.frame_ids = tuple(path.stem for path in sorted((folder / RADAR).glob("*.txt")))
+        self.frame_ids = tuple(path.stem for path in sorted((folder / RADAR).glob("*" + any_case(".txt"))))
         self.sequences = (folder.resolve().name,) * len(self.frame_ids)
 
     def drive_indices(self) -> Mapping[str, Indices]:
@@ -64,8 +65,7 @@ class Astyx(Dataset):
         return {}
 
     def _file(self, index: int, folder: str, suffix: str) -> Path | None:
-        path = self.folder / folder / f"{self.frame_ids[index]}{suffix}"
-        return path if path.is_file() else None
+        return existing(self.folder / folder / f"{self.frame_ids[index]}{suffix}")
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -86,7 +86,7 @@ class Astyx(Dataset):
         lidar, picture = self._file(index, LIDAR, ".txt"), self._file(index, CAMERA, ".jpg")
         calibration, labels = self._file(index, "calibration", ".json"), self._file(index, "groundtruth_obj3d", ".json")
         calibrated = {} if calibration is None else read_sensors(calibration)
-        clouds = {"radar": partial(_read_radar, self.folder / RADAR / f"{self.frame_ids[index]}.txt")}
+        clouds = {"radar": partial(_read_radar, self._file(index, RADAR, ".txt") or self.folder)}
         sensors = {"radar": Sensor(kind="radar", frame_T_sensor=np.eye(4))}
         if lidar is not None:
             if LIDAR not in calibrated:

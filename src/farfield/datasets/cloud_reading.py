@@ -1,6 +1,7 @@
 """How the cloud files of a data set are read: one number of columns, one full scale, one unit of times for all."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
@@ -8,9 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from farfield.errors import ConfigError, FarfieldError
+from farfield.files.clouds import names_of
+from farfield.files.intensities import intensity_scale_of
 from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_times, point_time_column
 from farfield.frame import Cloud
-from farfield.frame.cloud import columns_shown, intensity_scale_of, read_cloud, read_columns, returned
+from farfield.frame.cloud import (
+    CloudSettings,
+    columns_shown,
+    named_columns,
+    points_of,
+    read_cloud,
+    read_columns,
+    returned,
+)
 
 _LOOKED_AT = 8
 
@@ -59,28 +70,38 @@ class CloudReading:
         self.period_ns = float(np.median(steps)) if steps and len(times) == len(paths) else None
 
     @cached_property
-    def _decided(self) -> tuple[float, PointTimes]:
-        """Full scale and unit of times, from the sampled files; damaged ones are reported when they are read."""
-        if self.intensity_scale is not None and self.point_times != "auto":
-            return float(self.intensity_scale), self.point_times
-        strengths, unit = [], self.point_times
+    def settings(self) -> CloudSettings:
+        """What all clouds share, by the sampled files; damaged ones are reported when they are read."""
+        samples = {}
         for path in self.samples:
-            try:
+            with suppress(FarfieldError, OSError):
                 columns = read_columns(path, bin_columns=self.bin_columns)
-                valid = returned(path, np.column_stack([columns[axis] for axis in "xyz" if axis in columns]))
-                strengths.append(columns["intensity"][valid] if "intensity" in columns else np.zeros(0, np.float32))
-                name = point_time_column(columns)
-                if unit == "auto" and name is not None:
-                    unit = PointTimeColumn(name, columns[name][valid], path, None, self.period_ns).unit() or "auto"
-            except (FarfieldError, OSError):
-                continue
-        scale = intensity_scale_of(strengths) if self.intensity_scale is None else float(self.intensity_scale)
-        return scale, unit
+                samples[path] = points_of(path, columns) if isinstance(columns, np.ndarray) else columns
+        rows = [rows for rows in samples.values() if isinstance(rows, np.ndarray)]
+        counts = {part.shape[1] for part in rows}
+        row_names = {count: names_of(np.concatenate([p for p in rows if p.shape[1] == count])) for count in counts}
+        strengths, units = [], []
+        for path, columns in samples.items():
+            with suppress(FarfieldError):
+                named = named_columns(path, columns, row_names)
+                valid = returned(path, np.column_stack([named[axis] for axis in "xyz" if axis in named]))
+                strengths.append(named.get("intensity", np.zeros(len(valid), np.float32))[valid])
+                name = point_time_column(named)
+                if name is not None and self.point_times == "auto":
+                    units.append(PointTimeColumn(name, named[name][valid], path, None, self.period_ns).unit())
+        return CloudSettings(
+            intensity_scale=intensity_scale_of(strengths) if self.intensity_scale is None else self.intensity_scale,
+            point_times=self.point_times,
+            usual_unit=next((unit for unit in units if unit is not None), None),
+            row_names=row_names,
+            period_ns=self.period_ns,
+        )
 
     @property
     def scale(self) -> float:
         """Value that stands for full reflectance."""
-        return float(self.intensity_scale) if self.intensity_scale is not None else self._decided[0]
+        scale = self.settings.intensity_scale if self.intensity_scale is None else self.intensity_scale
+        return 1.0 if scale is None else float(scale)
 
     def __call__(self, path: Path, stamp_ns: int | None = None) -> Cloud:
         """Read one cloud.
@@ -92,15 +113,7 @@ class CloudReading:
         Raises:
             FarfieldError: As :func:`~farfield.frame.cloud.read_cloud` does.
         """
-        scale, unit = self._decided
-        return read_cloud(
-            path,
-            bin_columns=self.bin_columns,
-            intensity_scale=scale,
-            point_times=unit,
-            stamp_ns=stamp_ns,
-            period_ns=self.period_ns,
-        )
+        return read_cloud(path, self.settings.at(stamp_ns), bin_columns=self.bin_columns)
 
     def loader(self, path: Path, stamp_ns: int | None = None) -> Callable[[], Cloud]:
         """What reads one cloud when it is called."""

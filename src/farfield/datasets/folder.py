@@ -34,13 +34,13 @@ from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
 from farfield.files.point_times import PointTimes
-from farfield.files.suffixes import both_cases
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
 
 TABLE_NAME = "labels.csv"
 _BOX_FOLDERS = ("", "boxes", "labels")
-_IMAGE_SUFFIXES = both_cases((".jpg", ".jpeg", ".png"))
+_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _MAX_BYTES = 64 << 20
 _NANOSECONDS = re.compile(r"\d{16,19}")
 
@@ -251,7 +251,7 @@ class Folder(Dataset):
     def _stems(self, folder: str) -> set[str]:
         """Stems of the annotations in a folder."""
         path = self.root / folder
-        return {path.stem for path in path.glob("*.json")} if path.is_dir() else set()
+        return {path.stem for path in path.glob("*" + any_case(".json"))} if path.is_dir() else set()
 
     @property
     def strays(self) -> tuple[str, ...]:
@@ -263,7 +263,7 @@ class Folder(Dataset):
     def _beside(self, index: int, folders: Sequence[str], suffixes: Sequence[str]) -> Path | None:
         stem = self.frame_ids[index]
         candidates = (self.root / folder / f"{stem}{suffix}" for folder in folders for suffix in suffixes)
-        return next((path for path in candidates if path.is_file()), None)
+        return next((path for candidate in candidates if (path := existing(candidate))), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""

@@ -13,7 +13,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.frame_maps import described, make
 from farfield.datasets.recipes import maps_of_options, plain
 from farfield.errors import ConfigError, DatasetError
-from farfield.files.suffixes import any_case
+from farfield.files.suffixes import pattern_in_any_case
 from farfield.registry import PluginError, Registry
 
 
@@ -64,12 +64,12 @@ def is_tj4dradset(root: Path) -> bool:
 
 def is_kitti(root: Path) -> bool:
     """Whether a folder holds KITTI's object benchmark."""
-    return any(_has(base, "velodyne/*" + any_case(".bin")) for base in _parts(root))
+    return any(_has(base, "velodyne/*.bin") for base in _parts(root))
 
 
 def is_kitti_tracking(root: Path) -> bool:
     """Whether a folder holds KITTI's tracking benchmark, or its labels alone."""
-    patterns = ("velodyne/*/*" + any_case(".bin"), "label_02/*.txt", "label/*.txt")
+    patterns = ("velodyne/*/*.bin", "label_02/*.txt", "label/*.txt")
     return any(_has(base, pattern) for base in _parts(root) for pattern in patterns)
 
 
@@ -111,7 +111,7 @@ def is_bags(root: Path) -> bool:
     from farfield.files.bags import SUFFIXES, is_bag
 
     inside = any(is_bag(path) for path in root.iterdir() if path.is_dir())
-    return is_bag(root) or any(_has(root, f"*{any_case(suffix)}") for suffix in SUFFIXES) or inside
+    return is_bag(root) or any(_has(root, f"*{suffix}") for suffix in SUFFIXES) or inside
 
 
 def is_sustechpoints(root: Path) -> bool:
@@ -132,7 +132,7 @@ def is_folder(root: Path) -> bool:
     """Whether clouds lie directly in a folder."""
     from farfield.frame.cloud import CLOUD_SUFFIXES
 
-    return any(_has(root, f"*{any_case(suffix)}") for suffix in CLOUD_SUFFIXES)
+    return any(_has(root, f"*{suffix}") for suffix in CLOUD_SUFFIXES)
 
 
 def _parts(root: Path) -> tuple[Path, ...]:
@@ -140,7 +140,7 @@ def _parts(root: Path) -> tuple[Path, ...]:
 
 
 def _has(root: Path, pattern: str) -> bool:
-    return next(iter(root.glob(pattern)), None) is not None
+    return next(iter(root.glob(pattern_in_any_case(pattern))), None) is not None
 
 
 CIRRUS = Format(

@@ -21,12 +21,12 @@ from farfield.files.cuboids import numbers
 from farfield.files.images import image_size, read_image
 from farfield.files.json_text import parse_json
 from farfield.files.point_times import PointTimes
-from farfield.files.suffixes import any_case, both_cases
+from farfield.files.suffixes import any_case, existing
 from farfield.files.sustechpoints import MAX_BYTES, parse_sustechpoints
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
 
-_IMAGES = both_cases((".jpg", ".jpeg", ".png"))
+_IMAGES = (".jpg", ".jpeg", ".png")
 
 
 def scenes(root: Path) -> list[Path]:
@@ -84,7 +84,8 @@ class SustechPoints(Dataset):
     def label_path(self, index: int) -> Path:
         """The label file of frame ``index``, or where it would stand."""
         path = self.clouds[index]
-        return path.parent.parent / "label" / f"{path.stem}.json"
+        label = path.parent.parent / "label" / f"{path.stem}.json"
+        return existing(label) or label
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -125,7 +126,7 @@ class SustechPoints(Dataset):
             folder.name: image
             for folder in folders
             for suffix in _IMAGES
-            if (image := folder / f"{path.stem}{suffix}").is_file()
+            if (image := existing(folder / f"{path.stem}{suffix}"))
         }
 
     def _calibrations(self, index: int) -> dict[str, Path]:

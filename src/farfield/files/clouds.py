@@ -58,9 +58,9 @@ def read_bin(
             fix="The file is truncated, or has another number of columns (columns=).",
         )
     rows = np.frombuffer(data, dtype="<f4").reshape(points, columns).astype(np.float32)
-    finite = np.isfinite(rows).all(axis=1)
     if on_nan == "keep":
         return rows
+    finite = np.isfinite(rows).all(axis=1)
     if not finite.all() and (on_nan == "error" or not finite.any()):
         bad = int(np.argmin(finite))
         raise FileFormatError(
@@ -68,7 +68,7 @@ def read_bin(
             where=f"byte {bad * 4 * columns} (point {bad})",
             expected="finite numbers",
             got=str(rows[bad].tolist()),
-            fix="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
+            fix="Remove them from the file; in Python on_nan='drop' leaves them out." if on_nan == "error" else "",
         )
     return rows if finite.all() else rows[finite]
 
@@ -201,6 +201,7 @@ _FARTHEST_M = 1e4
 _ALIKE = 0.1  # mean Kolmogorov distance of columns that hold the same quantity
 _CLEAR = 0.05  # nats: what the best has to have, and to be ahead of one that is no divisor of it
 _MOST_RINGS = 512
+_FEW = 0.01  # share of negative numbers in a damaged column of intensities
 _LEAST_BRIGHT = 129  # the brightest value of a colour, more than the most rings of a usual LiDAR
 
 
@@ -331,13 +332,16 @@ def names_of(rows: Shaped[np.ndarray, "n c"]) -> tuple[str, ...]:
     """Names by what the columns hold, the first three being x, y and z.
 
     Of six, three colours of 0 to 255 are ``r``, ``g``, ``b`` and unit vectors ``nx``, ``ny``, ``nz``; neither is an
-    intensity. Else the fourth is ``intensity`` unless some of it is negative (``signal``); one that is equal to
-    sqrt(x^2 + y^2 + z^2) is ``range_m``, and small whole numbers are a ``ring``; others are ``extra0``, ``extra1``...
-    from the fifth on.
+    intensity. Else the fourth is ``intensity`` unless more than one in a hundred is negative (``signal``); one that is
+    equal to sqrt(x^2 + y^2 + z^2) is ``range_m``, and small whole numbers are a ``ring``; others are ``extra0``,
+    ``extra1``... from the fifth on.
     """
     if rows.shape[1] == 6 and (named := _colours_or_normals(rows[:, 3:])):
         return ("x", "y", "z", *named)
-    names = ["x", "y", "z", "intensity" if rows[:, 3:4].min(initial=0.0) >= 0 else "signal"][: rows.shape[1]]
+    is_signal = np.count_nonzero(rows[:, 3:4] < 0) > _FEW * len(rows)
+    names = ["x", "y", "z", "signal" if is_signal else "intensity"][: rows.shape[1]]
+    if rows.shape[1] == len(names):
+        return tuple(names)
     ranges = np.linalg.norm(rows[:, :3].astype(np.float64), axis=1)
     for number in range(4, rows.shape[1]):
         column = rows[:, number].astype(np.float64)

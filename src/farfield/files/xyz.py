@@ -84,7 +84,7 @@ def _finite(
         where=f"line {bad + 1}",
         expected="finite numbers" if on_nan == "error" else "at least one point with finite numbers",
         got=str(rows[bad].tolist()),
-        fix="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
+        fix="Remove them from the file; in Python on_nan='drop' leaves them out." if on_nan == "error" else "",
     )
 
 

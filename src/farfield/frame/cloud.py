@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.files.point_times import OFFSET_COLUMN, PointTimeColumn, PointTimes, point_time_column
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.poses import transform_points
@@ -233,7 +234,7 @@ def read_rows(
         stored = read_cache(cached)
         columns_read = [stored[name] for number in range(len(stored)) if (name := f"c{number}") in stored]
         good = [column for column in columns_read if column.ndim == 1]
-        if len(good) < 4 or len({len(column) for column in good}) != 1 or len(good) != len(stored):
+        if len(good) < 3 or len({len(column) for column in good}) != 1 or len(good) != len(stored):
             actual = f"{', '.join(stored)[:80]}"
             fix = "Delete the cache file, or write it anew: farfield convert DATA --to cache --overwrite."
             raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", got=actual, fix=fix)
@@ -271,94 +272,113 @@ class CloudSettings:
         intensity_scale: Value that stands for full reflectance; None decides by the file, see
             :func:`intensity_scale_of`.
         point_times: Unit of the points' times, see :data:`~farfield.files.point_times.PointTimes`.
+        usual_unit: Unit that other clouds of the data set show.
+        row_names: Names of the columns of files without any, by how many they are; None decides by the file.
         stamp_ns: The sweep's time since 1970; None where it is not known.
         period_ns: From one sweep to the next; None where it is not known.
     """
 
     intensity_scale: float | int | None = None
     point_times: PointTimes = "auto"
+    usual_unit: str | None = None
+    row_names: Mapping[int, tuple[str, ...]] | None = None
     stamp_ns: int | None = None
     period_ns: float | int | None = None
+
+    def at(self, stamp_ns: int | None) -> "CloudSettings":
+        """The same for a sweep of a time."""
+        return replace(self, stamp_ns=stamp_ns)
 
 
 _OWN_SETTINGS = CloudSettings()
 
 
-def read_cloud(
-    path: Path, *, bin_columns: int | None = None, intensity_scale: float | int | None = None, **settings: Any
-) -> Cloud:
+def read_cloud(path: Path, settings: CloudSettings = _OWN_SETTINGS, *, bin_columns: int | None = None) -> Cloud:
     """Read one cloud file of a known suffix: .pcd, .bin (velodyne), .npy (rows), .xyz or .ffcloud.
 
     Args:
         path: The file.
+        settings: How its columns become a cloud.
         bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
-        intensity_scale: Value that stands for full reflectance; None decides by the file.
-        **settings: The others of :class:`CloudSettings`.
 
     Raises:
         FileFormatError: If the file is damaged, an intensity is negative or beyond the scale, or the points' times
             cannot be told.
         DatasetError: If the suffix is unknown, x, y and z are missing, or all points lie beyond 10 km.
     """
-    chosen = CloudSettings(intensity_scale=intensity_scale, **settings)
-    return _from_columns(path, read_columns(path, bin_columns=bin_columns), chosen)
+    columns = named_columns(path, read_columns(path, bin_columns=bin_columns), settings.row_names)
+    return _from_columns(path, columns, settings)
 
 
-def read_columns(path: Path, *, bin_columns: int | None = None) -> dict[str, Shaped[np.ndarray, " n"]]:
-    """The columns of a cloud file by name: x, y, z, intensity where there is one under any usual name, and the others.
+Columns = Mapping[str, Shaped[np.ndarray, "..."]]
+
+
+def read_columns(path: Path, *, bin_columns: int | None = None) -> Columns | Shaped[np.ndarray, "n c"]:
+    """The columns of a cloud file by the names that it has for them, or its rows where it has none.
 
     Args:
         path: The file.
         bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
 
     Raises:
-        FileFormatError: If the file is damaged, or a place or the intensity holds several numbers for each point.
+        FileFormatError: If the file is damaged.
         DatasetError: If the suffix is unknown.
     """
     from farfield.files.clouds import bin_columns as bin_columns_of
-    from farfield.files.clouds import names_of
 
     suffix = path.suffix.lower()
     if suffix == ".pcd":
         from farfield.files.pcd import read_pcd
 
-        return named_columns(path, read_pcd(path))
+        return read_pcd(path)
     if suffix == ".ffcloud":
         from farfield.files.clouds import read_cache
 
-        return named_columns(path, read_cache(path))
+        return read_cache(path)
     if suffix == ".bin":
         from farfield.files.clouds import read_bin
 
         count = bin_columns_of(path).count if bin_columns is None else bin_columns
-        rows = read_bin(path, columns=count, on_nan="keep")
-    elif suffix == ".xyz":
-        rows = np.column_stack(read_rows(path, path.parent, columns=xyz_columns(path)))
-    elif suffix == ".npy":
+        return read_bin(path, columns=count, on_nan="keep")
+    if suffix == ".xyz":
+        return np.column_stack(read_rows(path, path.parent, columns=xyz_columns(path)))
+    if suffix == ".npy":
         rows = _read_npy(path)
-        if rows.dtype.names is not None:
-            return named_columns(path, {name: rows[name] for name in rows.dtype.names})
-    else:
-        raise DatasetError(f"{path}: expected a cloud with suffix {', '.join(CLOUD_SUFFIXES)}")
-    return dict(zip(names_of(rows[returned(path, rows[:, :3])]), rows.T, strict=True))
+        return rows if rows.dtype.names is None else {name: native(rows[name]) for name in rows.dtype.names}
+    raise DatasetError(f"{path}: expected a cloud with suffix {', '.join(CLOUD_SUFFIXES)}")
+
+
+def native(values: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
+    """Numbers in this machine's order of bytes, one after another in memory."""
+    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
 
 
 INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "signal")
 """Names of the column that becomes the intensity, in lower case; the first that a cloud has is taken."""
 
 
-def named_columns(path: Path | str, columns: Mapping[str, np.ndarray]) -> dict[str, Shaped[np.ndarray, " n"]]:
+def named_columns(
+    path: Path | str,
+    columns: Columns | Shaped[np.ndarray, "n c"],
+    row_names: Mapping[int, tuple[str, ...]] | None = None,
+) -> dict[str, Shaped[np.ndarray, " n"]]:
     """Columns of a cloud under our names: ``X`` is x, ``reflectivity`` is the intensity, ``rgb`` of three rgb_0 to 2.
 
     Args:
         path: The file, for messages.
-        columns: By the file's names, each of shape (n,), or (n, count) where a point has several numbers.
+        columns: By the file's names, each of shape (n,), or (n, count) where a point has several numbers; or rows.
+        row_names: Names of the columns of rows, by how many they are; None decides by the rows.
 
     Raises:
         FileFormatError: If a place or the intensity holds several numbers for each point.
     """
-    lower = {name.lower(): name for name in reversed(columns)}
-    ours = {lower[axis]: axis for axis in "xyz" if axis not in columns and axis in lower}
+    from farfield.files.clouds import names_of
+
+    if isinstance(columns, np.ndarray):
+        names = (row_names or {}).get(columns.shape[1]) or names_of(points_of(path, columns))
+        return dict(zip(names, columns.T, strict=True))
+    lower = {name.lower(): name for name in reversed(columns)} | {name: name for name in columns if name.islower()}
+    ours = {lower[axis]: axis for axis in "xyz" if axis in lower}
     strength = next((lower[name] for name in INTENSITY_NAMES if name in lower), None)
     if strength is not None:
         ours[strength] = "intensity"
@@ -377,8 +397,36 @@ def named_columns(path: Path | str, columns: Mapping[str, np.ndarray]) -> dict[s
             )
         else:
             rows = values.reshape(len(values), -1)
-            split |= {f"{name}_{element}": rows[:, element] for element in range(rows.shape[1])}
+            split |= {f"{name}_{element}": np.ascontiguousarray(column) for element, column in enumerate(rows.T)}
     return split
+
+
+def points_of(path: Path | str, rows: Shaped[np.ndarray, "n c"]) -> Shaped[np.ndarray, "m c"]:
+    """The rows that are points: see :func:`returned`."""
+    valid = returned(path, rows[:, :3])
+    return rows if valid.all() else rows[valid]
+
+
+def read_radar_rows(path: Path, columns: int) -> tuple[Float32[np.ndarray, "n columns"], int]:
+    """The points of a radar's ``.bin`` file and how many of its rows are none: see :func:`returned`.
+
+    Raises:
+        FileFormatError: If the file is damaged, or a number of a point is not finite.
+    """
+    from farfield.files.clouds import read_bin
+
+    rows = read_bin(path, columns=columns, on_nan="keep")
+    points = points_of(path, rows)
+    if not np.isfinite(points).all():
+        row, column = np.argwhere(~np.isfinite(points))[0]
+        raise FileFormatError(
+            path,
+            where=f"column {column + 1} of point {row}",
+            expected="finite numbers",
+            got=f"{points[row, column]}",
+            fix="The file is damaged: fetch it again, or leave the frame out.",
+        )
+    return points, len(rows) - len(points)
 
 
 def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
@@ -402,7 +450,7 @@ def columns_shown(paths: Sequence[Path]) -> int | None:
     """Columns that the largest of some ``.bin`` files shows, None where it shows none: see ``bin_columns``."""
     from farfield.files.clouds import bin_columns as bin_columns_of
 
-    sizes = [(path.stat().st_size, path) for path in paths if path.suffix == ".bin"]
+    sizes = [(path.stat().st_size, path) for path in paths if path.suffix.lower() == ".bin"]
     if not sizes:
         return None
     _, largest = max(sizes, key=itemgetter(0))
@@ -443,7 +491,9 @@ def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: Cloud
     lacking = [name for name in "xyz" if name not in columns]
     if lacking:
         raise DatasetError(f"{path}: expected columns x, y, z; missing {', '.join(lacking)} of {', '.join(columns)}")
-    points = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float32)
+    points = np.empty((len(columns["x"]), 3), dtype=np.float32)
+    for axis, name in enumerate("xyz"):
+        points[:, axis] = columns[name]
     valid = returned(path, points)
     if not valid.all():
         rest = {name: value[valid] for name, value in columns.items()}
@@ -470,12 +520,13 @@ def returned(path: Path | str, points_m: Num[np.ndarray, "n 3"]) -> Bool[np.ndar
     Raises:
         DatasetError: If a coordinate is infinite.
     """
-    infinite = np.isinf(points_m).any(axis=1)
-    if infinite.any():
-        row = int(np.argmax(infinite))
+    number_type = np.result_type(points_m.dtype, np.float32)
+    x, y, z = (np.abs(points_m[:, axis].astype(number_type, copy=False)) for axis in range(3))
+    extent = x + y + z  # 0, or NaN, where nothing returned
+    if np.isinf(extent).any():
+        row = int(np.argmax(np.isinf(extent)))
         raise DatasetError(f"{path}: expected finite coordinates, got {points_m[row].tolist()} in point {row}")
-    valid: np.ndarray = ~np.isnan(points_m).any(axis=1) & (points_m != 0).any(axis=1)
-    return valid
+    return extent > 0
 
 
 def with_offsets(
@@ -490,63 +541,9 @@ def with_offsets(
     if name is None:
         return dict(extra)
     unit = None if settings.point_times == "auto" else settings.point_times
-    times = PointTimeColumn(name, extra[name], path, settings.stamp_ns, settings.period_ns)
+    times = PointTimeColumn(
+        name, extra[name], path, settings.stamp_ns, settings.period_ns, usual_unit=settings.usual_unit
+    )
+    if unit is None and not times.are_times():
+        return dict(extra)
     return {key: column for key, column in extra.items() if key != name} | {OFFSET_COLUMN: times.offsets_ns(unit)}
-
-
-_FULL_SCALES = (1.0, 255.0, 65535.0)
-_FEW, _LITTLE_BEYOND = 0.01, 1.5
-"""Outliers: share of the intensities above 0 that lie beyond a scale, and how far they may if all are whole numbers."""
-
-
-def intensity_scale_of(strengths: Sequence[Shaped[np.ndarray, " _"]]) -> float:
-    """Value that stands for full reflectance in the clouds of a data set: 1, 255 or 65535.
-
-    The smallest that covers them, but for outliers: fewer than one in a hundred, among numbers with a fraction or
-    little above. Whole numbers of an integer type never reach from 0 to 1. Beyond 65535 it is the largest.
-
-    >>> intensity_scale_of([np.array([0.2, 0.9])]), intensity_scale_of([np.array([3, 200.0]), np.array([0.5])])
-    (1.0, 255.0)
-    """
-    scales = _FULL_SCALES[1:] if strengths and all(values.dtype.kind in "iu" for values in strengths) else _FULL_SCALES
-    joined = np.concatenate([values.astype(np.float64) for values in strengths] or [np.zeros(0)])
-    positive = joined[np.isfinite(joined) & (joined > 0)]
-    largest = float(positive.max(initial=0.0))
-    for scale in scales:
-        beyond = positive > scale * (1 + 1e-6)
-        if not beyond.any():
-            return scale
-        fractions = (positive[~beyond] % 1 != 0).any()
-        if beyond.mean() < _FEW and (largest <= _LITTLE_BEYOND * scale or fractions):
-            return scale
-    return largest
-
-
-def scaled_intensity(
-    path: Path | str, strength: Shaped[np.ndarray, " n"], scale: float | int
-) -> Float32[np.ndarray, " n"]:
-    """Intensities brought to [0, 1].
-
-    Args:
-        path: The file, for messages.
-        strength: As the file has them.
-        scale: Value that stands for full reflectance.
-
-    Raises:
-        FileFormatError: If one is not finite, negative or beyond the scale.
-    """
-    values = np.asarray(strength, dtype=np.float32)
-    wrong = values[~np.isfinite(values)]
-    if not len(wrong) and len(values) and (values.min() < 0 or values.max() > scale * (1 + 1e-5)):
-        wrong = np.array([values.min(), values.max()])
-    if len(wrong):
-        full = float(values.max(initial=1.0, where=np.isfinite(values)))
-        raise FileFormatError(
-            path,
-            where="the intensity column",
-            expected=f"finite values from 0 to {scale:g}",
-            got=" to ".join(f"{value:g}" for value in wrong[:2]),
-            fix="Give the value that stands for full reflectance in all clouds, such as --intensity-scale "
-            f"{full:.6g} (in Python and experiments intensity_scale={full:.6g}), or mend the column.",
-        )
-    return np.clip(values / np.float32(scale), 0.0, 1.0)

@@ -1,7 +1,8 @@
 """ROS 2 bags as frames: one a message of the reference cloud, with the nearest of each other topic."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
@@ -11,17 +12,16 @@ from jaxtyping import Bool, Int64, Shaped, UInt8
 
 from farfield.datasets.bags.transforms import Transforms
 from farfield.datasets.base import Dataset, Indices, Poses, all_poses
-from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError
 from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
+from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_times, point_time_column
 from farfield.files.sensor_messages import read_points, read_ros_compressed, read_ros_image
 from farfield.frame import Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import (
     CloudSettings,
-    intensity_scale_of,
     named_columns,
     returned,
-    scaled_intensity,
     with_offsets,
 )
 
@@ -97,7 +97,10 @@ class IndexedBag:
         message = self.bag.at(topic.name, int(log[0]))
         repeat = np.arange(len(log)) - first_of_equal
         rows = np.unique(np.linspace(0, len(log) - 1, _LOOKED_AT).astype(int)) if topic.kind == CLOUD else []
-        samples = [self._columns(topic, int(log[row]), int(repeat[row])) for row in rows]
+        samples = [] if not len(rows) else [self._columns(topic, int(log[0]), 0)]
+        for row in rows[1:]:
+            with suppress(FarfieldError):  # a damaged one is reported when it is read
+                samples.append(self._columns(topic, int(log[row]), int(repeat[row])))
         steps = np.diff(times[order])
         with guarded(self.bag.path, f"the header of {topic.name}"):
             frame_id = str(message.header.frame_id)
@@ -116,16 +119,17 @@ class IndexedBag:
 
     def _settings(self, samples: Sequence[Columns], period_ns: float | None) -> CloudSettings:
         """One full scale and one unit of times for all clouds of a topic."""
-        scale, unit = self.intensity_scale, self.point_times
+        scale, unit = self.intensity_scale, None
         if scale is None:
             strengths = [columns["intensity"][_has_place(columns)] for columns in samples if "intensity" in columns]
             scale = intensity_scale_of(strengths)
-        for columns in samples:
+        for columns in samples if self.point_times == "auto" else ():
             name = point_time_column(columns)
-            if unit == "auto" and name is not None:
-                times = columns[name][_has_place(columns)]
-                unit = PointTimeColumn(name, times, self.bag.path, None, period_ns).unit() or "auto"
-        return CloudSettings(intensity_scale=scale, point_times=unit, period_ns=period_ns)
+            if unit is None and name is not None:
+                with suppress(FileFormatError):  # reported when the cloud is read
+                    times = columns[name][_has_place(columns)]
+                    unit = PointTimeColumn(name, times, self.bag.path, None, period_ns).unit()
+        return CloudSettings(intensity_scale=scale, point_times=self.point_times, usual_unit=unit, period_ns=period_ns)
 
 
 def our_name(topic: str) -> str:
@@ -339,7 +343,7 @@ def load_cloud(
     columns = read_points(message, bag.path)
     with guarded(bag.path, "a cloud's header"):
         stamp_ns = int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
-    cloud = cloud_of(columns, bag.path, replace(settings, stamp_ns=stamp_ns))
+    cloud = cloud_of(columns, bag.path, settings.at(stamp_ns))
     return cloud if target_T_sensor is None else cloud.transform(target_T_sensor)
 
 

@@ -23,8 +23,9 @@ from farfield.datasets.cirrus.layout import (
 )
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.images import read_image
+from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.frame import Annotation, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import intensity_scale_of, read_rows, returned, scaled_intensity
+from farfield.frame.cloud import read_rows, returned
 from farfield.vocabulary.patterns import PATTERNS
 
 # Sweeps: one .xyz file as a cloud.

@@ -28,12 +28,12 @@ from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
 from farfield.files.point_times import PointTimes
-from farfield.files.suffixes import any_case, both_cases
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import returned
+from farfield.frame.cloud import read_radar_rows
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
-_IMAGE_SUFFIXES = both_cases((".png", ".jpg"))
+_IMAGE_SUFFIXES = (".png", ".jpg")
 _CLOUDS = f"velodyne/*{any_case('.bin')}"
 _COLUMNS = 4
 
@@ -116,8 +116,7 @@ class Kitti(Dataset):
         return parts or super().split_parts()
 
     def _file(self, index: int, kind: str, suffix: str) -> Path | None:
-        path = self.folder / kind / f"{self.frame_ids[index]}{suffix}"
-        return path if path.is_file() else None
+        return existing(self.folder / kind / f"{self.frame_ids[index]}{suffix}")
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -216,11 +215,9 @@ def read_radar(path: Path) -> Cloud:
     Raises:
         FileFormatError: If the file is damaged.
     """
-    rows = read_bin(path, columns=len(COLUMNS))
-    valid = returned(path, rows[:, :3])
-    rows = rows[valid]
+    rows, missing = read_radar_rows(path, len(COLUMNS))
     extra = {name: np.ascontiguousarray(rows[:, number]) for number, name in enumerate(COLUMNS) if number > 2}
-    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]}, int((~valid).sum()))
+    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]}, missing)
 
 
 # Writing KITTI's layout.

@@ -23,7 +23,7 @@ from farfield.files.images import read_image
 from farfield.files.kitti import read_raw_calib, read_record, rectified, rigid
 from farfield.files.point_times import PointTimes
 from farfield.files.stamps import read_stamps, recognise_stamps
-from farfield.files.suffixes import any_case, both_cases
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
 from farfield.geometry.poses import invert, pose
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 CLOUDS, CAMERAS = "velodyne_points", ("image_00", "image_01", "image_02", "image_03")
 _COLUMNS = 4
 _LABELS = "tracklet_labels.xml"
-_IMAGES = both_cases((".png", ".jpg"))
+_IMAGES = (".png", ".jpg")
 _STAMPS = {"middle": "timestamps.txt", "start": "timestamps_start.txt", "end": "timestamps_end.txt"}
 _EARTH_M = 6_378_137.0
 
@@ -92,7 +92,7 @@ class KittiRaw(Dataset):
 
     def _image(self, index: int, camera: str) -> Path | None:
         candidates = (self._drive(index) / camera / "data" / f"{self.frame_ids[index]}{suffix}" for suffix in _IMAGES)
-        return next((path for path in candidates if path.is_file()), None)
+        return next((path for candidate in candidates if (path := existing(candidate))), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""

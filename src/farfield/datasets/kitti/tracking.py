@@ -20,13 +20,13 @@ from farfield.errors import DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiTracks, read_calib, read_tracking
 from farfield.files.point_times import PointTimes
-from farfield.files.suffixes import any_case, both_cases
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, CameraField, Frame, Lazy
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
 _LABEL_FOLDERS = ("label_02", "label")
 _COLUMNS = 4
-_CLOUDS = f"*{any_case('.bin')}"
+_CLOUDS, _TRACKS = f"*{any_case('.bin')}", f"*{any_case('.txt')}"
 
 
 class KittiTracking(Dataset):
@@ -65,7 +65,7 @@ class KittiTracking(Dataset):
         self.root, self.classes = Path(root), classes
         self.folder = self.root / part if (self.root / part).is_dir() else self.root
         names = {path.parent.name for path in self.folder.glob(f"velodyne/*/{_CLOUDS}")}
-        self.labels = {p.stem: p for name in reversed(_LABEL_FOLDERS) for p in self.folder.glob(f"{name}/*.txt")}
+        self.labels = {p.stem: p for name in reversed(_LABEL_FOLDERS) for p in self.folder.glob(f"{name}/{_TRACKS}")}
         self._tracks = {sequence: _TrackFile(path) for sequence, path in self.labels.items()}
         names |= self.labels.keys()
         keys = [(name, stem) for name in sorted(names) for stem in self._stems(name)]
@@ -98,13 +98,13 @@ class KittiTracking(Dataset):
         candidates = (
             self.folder / kind / self.sequences[index] / f"{self.frame_ids[index]}{suffix}" for suffix in suffixes
         )
-        return next((path for path in candidates if path.is_file()), None)
+        return next((path for candidate in candidates if (path := existing(candidate))), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``; label and calibration files are shared by their sequence."""
         beside = [
-            self._file(index, "velodyne", *both_cases([".bin"])),
-            self._file(index, "image_02", *both_cases((".png", ".jpg"))),
+            self._file(index, "velodyne", ".bin"),
+            self._file(index, "image_02", ".png", ".jpg"),
             self.labels.get(self.sequences[index]),
             self._calib(index),
         ]
@@ -117,10 +117,7 @@ class KittiTracking(Dataset):
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         sequence, stem = self.sequences[index], self.frame_ids[index]
-        cloud, image = (
-            self._file(index, "velodyne", *both_cases([".bin"])),
-            self._file(index, "image_02", *both_cases((".png", ".jpg"))),
-        )
+        cloud, image = self._file(index, "velodyne", ".bin"), self._file(index, "image_02", ".png", ".jpg")
         calib_path = self._calib(index)
         calib = None if calib_path is None else read_calib(calib_path)
         cameras = {} if calib is None else {"camera": sized_camera(calib, image)}

@@ -38,7 +38,7 @@ from farfield.radar.products import (
 TESSERACT_SHAPE = (64, 256, 37, 107)  # Doppler, range, elevation, azimuth
 CUBE_SHAPE = (150, 400, 250)  # z, y, x
 POLAR_SHAPE = (2, 256, 107, 37)  # power and Doppler; range, azimuth, elevation
-_TURN_NS = 100_000_000
+_TURN_NS, _FAR_NS = 100_000_000, 1 << 62
 INTENSITY_COUNTS = 1024.0  # signal counts that stand for intensity 1; a power of two, so that scaling loses no bit
 _FIELDS = ("x", "y", "z", "intensity", "t", "reflectivity", "ring", "ambient", "range")
 _DTYPES = dict(zip(_FIELDS, ("f4", "f4", "f4", "f4", "u4", "u2", "u1", "u2", "u4"), strict=True))
@@ -275,15 +275,13 @@ def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
 
 
 def _times_ns(path: Path, times: Num[np.ndarray, " n"], returned: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    """The driver's ``t`` in nanoseconds: integers are such, other numbers in the unit that a turn of 0.1 s shows."""
-    if times.dtype.kind in "iu":
-        largest = np.iinfo(np.int64).max
-        if len(times) and int(times.max()) > largest // 2:
-            actual = f"{times.max()}"
-            raise FileFormatError(path, where="field t", expected="nanoseconds since the sweep began", got=actual)
-        return times.astype(np.int64)
+    """The driver's ``t`` in nanoseconds, in the unit that a turn of 0.1 s shows; nanoseconds where it shows none."""
+    is_integer = times.dtype.kind in "iu"
+    column = PointTimeColumn("t", times[returned], path, None, _TURN_NS, usual_unit="ns" if is_integer else None)
+    if is_integer and column.unit() == "ns" and int(times.max(initial=0)) < _FAR_NS:
+        return times.astype(np.int64)  # of points without return too, as they are
     times_ns = np.zeros(len(times), dtype=np.int64)
-    times_ns[returned] = PointTimeColumn("t", times[returned], path, None, _TURN_NS).offsets_ns()
+    times_ns[returned] = column.offsets_ns()
     return times_ns
 
 

@@ -20,9 +20,9 @@ from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.view_of_delft.layout import CLIPS, PARTS, RADAR_COLUMNS, clip_of, find_trees
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import read_bytes
-from farfield.files.clouds import read_bin
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiObjects, read_calib, read_labels
+from farfield.files.suffixes import any_case, existing
 from farfield.files.view_of_delft import DelftObjects, read_camera_poses, read_objects
 from farfield.frame import (
     Annotation,
@@ -36,7 +36,7 @@ from farfield.frame import (
     Sensor,
     camera_sensor,
 )
-from farfield.frame.cloud import read_cloud, returned
+from farfield.frame.cloud import CloudSettings, read_cloud, read_radar_rows
 from farfield.geometry.kitti import upright_from_camera
 from farfield.geometry.poses import rotation_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_VIEW_OF_DELFT, normalised_class
@@ -47,6 +47,7 @@ RADAR_RATE_HZ = 13.0  # nominal; files count scans and give no times
 IMAGE_PX = (1936, 1216)
 Reference = Literal["lidar", "radar"]
 _HOLDS = {"radar_3frames": ("radar",), "radar_5frames": ("radar", "radar_3frames")}
+_CLOUDS = f"velodyne/*{any_case('.bin')}"
 _COMPANIONS = {"image_2": (".jpg", ".png"), "label_2": (".txt", ".json"), "pose": (".json",), "calib": (".txt",)}
 _NEEDED_POINTS = 3
 
@@ -131,7 +132,7 @@ class ViewOfDelft(Dataset):
         if not self.trees:
             raise DatasetError(f"{self.root}: expected clouds in [lidar|radar]/{part}/velodyne/*.bin, found none")
         self.reference: Reference = reference or ("lidar" if "lidar" in self.trees else "radar")
-        self._clouds = {name: {p.stem: p for p in tree.glob("velodyne/*.bin")} for name, tree in self.trees.items()}
+        self._clouds = {name: {p.stem: p for p in tree.glob(_CLOUDS)} for name, tree in self.trees.items()}
         self.frame_ids = tuple(sorted(set().union(*self._clouds.values())))
         self.sequences = tuple(clip_of(frame_id) or part for frame_id in self.frame_ids)
 
@@ -177,7 +178,7 @@ class ViewOfDelft(Dataset):
         trees = list(self.trees.values()) if tree is None else [self.trees[tree]]
         names = [self.frame_ids[index] + suffix for suffix in suffixes or _COMPANIONS[kind]]
         paths = (folder / kind / name for name in names for folder in trees)
-        return next((path for path in paths if path.is_file()), None)
+        return next((file for path in paths if (file := existing(path))), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -237,7 +238,7 @@ class ViewOfDelft(Dataset):
             read: Callable[[], Cloud] = (
                 partial(read_radar, path)
                 if sensor == "radar"
-                else partial(read_cloud, path, bin_columns=4, intensity_scale=self.scale)
+                else partial(read_cloud, path, CloudSettings(intensity_scale=self.scale), bin_columns=4)
             )
             if sensor != rig.reference:
                 self._need(index, rig, (sensor, rig.reference), f"{path}: to give it in the {rig.reference}'s frame")
@@ -251,8 +252,8 @@ class ViewOfDelft(Dataset):
         if path is None:
             return None
         region = None if camera is None else CameraField(camera=camera, name="the camera")
-        upright: Reference = "radar" if "radar" in rig.camera_T or path.suffix == ".json" else "lidar"
-        if path.suffix == ".json":
+        upright: Reference = "radar" if "radar" in rig.camera_T or path.suffix.lower() == ".json" else "lidar"
+        if path.suffix.lower() == ".json":
             if rig.reference != "radar":
                 self._need(index, rig, ("radar", rig.reference), f"{path}: its boxes are in the radar's frame")
             read = partial(_read_json, path, self.classes)
@@ -321,9 +322,7 @@ def read_radar(path: Path) -> Cloud:
     Raises:
         FileFormatError: If the file is damaged.
     """
-    rows = read_bin(path, columns=RADAR_COLUMNS)
-    valid = returned(path, rows[:, :3])
-    rows = rows[valid]
+    rows, missing = read_radar_rows(path, RADAR_COLUMNS)
     rcs_dbsm = rows[:, 3]
     extra = {
         "rcs_dbsm": rcs_dbsm,
@@ -334,7 +333,7 @@ def read_radar(path: Path) -> Cloud:
         "lag_s": np.abs(rows[:, 6]) / np.float32(RADAR_RATE_HZ),
     }
     contiguous = {name: np.ascontiguousarray(column) for name, column in extra.items()}
-    return Cloud(rows[:, :3].copy(), None, contiguous, int((~valid).sum()))
+    return Cloud(rows[:, :3].copy(), None, contiguous, missing)
 
 
 def radar_velocity_m_s(cloud: Cloud) -> Float[np.ndarray, " 3"] | None:
