@@ -11,8 +11,8 @@ from farfield.datasets import open_dataset
 from farfield.datasets.memory import CloudFiles
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.clouds import write_cache
-from farfield.files.pcd import write_pcd
 from farfield.files.intensities import intensity_scale_of
+from farfield.files.pcd import write_pcd
 from farfield.frame.cloud import read_cloud
 
 START_NS, TURN_NS, POINTS = 1_700_000_000_123_456_789, 100_000_000, 400

@@ -15,7 +15,7 @@ from farfield.datasets.kitti.object import read_radar as read_tj4d
 from farfield.datasets.kradar.products import read_lidar
 from farfield.datasets.radiate import lidar_cloud
 from farfield.datasets.view_of_delft.reader import read_radar as read_delft
-from farfield.errors import DatasetError
+from farfield.errors import DatasetError, FileFormatError
 from farfield.files.astyx import LIDAR_COLUMNS
 from farfield.files.clouds import write_cache
 from farfield.files.pcd import write_pcd
@@ -129,12 +129,18 @@ def test_argoverse2(tmp_path: Path) -> None:
     assert (len(cloud), cloud.missing) == (POINTS - GONE, GONE)
 
 
-def test_kradars_sweeps_count_what_they_leave_out(shared_real: Path) -> None:
-    path = next(iter(sorted((shared_real / "kradar").rglob("os2-64*.pcd"))), None)
-    if path is None:
-        pytest.skip("no sweep")
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_kradars_sweeps_count_what_they_leave_out(value: float, tmp_path: Path) -> None:
+    path, columns = tmp_path / "os2-64_00001.pcd", dict(zip(NAMES, rows_of(value).T.copy(), strict=True))
+    numbers = {"t": "u4", "reflectivity": "u2", "ring": "u1", "ambient": "u2", "range": "u4"}
+    whole = {name: np.zeros(POINTS, dtype=dtype) for name, dtype in numbers.items()}
+    write_pcd(path, columns | whole)
     cloud = read_lidar(path, "os2-64")
-    assert cloud.missing > 0
+    assert (len(cloud), cloud.missing) == (POINTS - GONE, GONE)
+    columns["intensity"][-1] = np.nan  # of a point: never a dark one
+    write_pcd(path, columns | whole)
+    with pytest.raises(FileFormatError, match="intensities"):
+        read_lidar(path, "os2-64")
 
 
 class TestStructuredArrays:

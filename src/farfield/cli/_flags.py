@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from farfield.metrics import Protocol
 
 _UNNAMED = tyro.conf.arg(name="")
+PointTimes = Literal["auto", "s", "ms", "us", "ns", "none"]  # as in farfield.files.point_times, which waits
 """The fields of a group are flags without the group's name before them."""
 
 
@@ -34,7 +35,7 @@ class CloudFlags:
 
     columns: int | None = None
     intensity_scale: float | None = None
-    point_times: Literal["auto", "s", "ms", "us", "ns", "none"] = "auto"
+    point_times: PointTimes = "auto"
 
     @property
     def cloud_options(self) -> dict[str, Any]:

@@ -42,7 +42,7 @@ TABLE_NAME = "labels.csv"
 _BOX_FOLDERS = ("", "boxes", "labels")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _MAX_BYTES = 64 << 20
-_NANOSECONDS = re.compile(r"\d{16,19}")
+_STAMP, _MICROSECOND_DIGITS = re.compile(r"\d{16,19}"), 16
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
@@ -129,7 +129,10 @@ def write_boxes(path: Path | str, boxes: Boxes) -> None:
 
 
 def _time_ns(stem: str) -> int | None:
-    return int(stem) if _NANOSECONDS.fullmatch(stem) else None
+    """A name of 17 to 19 digits in nanoseconds, of 16 in microseconds: no sweep is of January 1970."""
+    if not _STAMP.fullmatch(stem):
+        return None
+    return int(stem) * (1000 if len(stem) == _MICROSECOND_DIGITS else 1)
 
 
 def _read_annotation(path: Path, classes: Mapping[str, str]) -> Annotation:

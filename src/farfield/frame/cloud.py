@@ -397,7 +397,12 @@ def named_columns(
             )
         else:
             rows = values.reshape(len(values), -1)
-            split |= {f"{name}_{element}": np.ascontiguousarray(column) for element, column in enumerate(rows.T)}
+            parts = {f"{name}_{element}": np.ascontiguousarray(column) for element, column in enumerate(rows.T)}
+            double = next((part for part in parts if part in columns), None)
+            if double is not None:
+                actual = f"field {double} and {rows.shape[1]} numbers of {name}"
+                raise FileFormatError(path, where=f"field {name}", expected="names that differ", got=actual)
+            split |= parts
     return split
 
 

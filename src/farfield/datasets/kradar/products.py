@@ -24,6 +24,7 @@ from farfield.files.pcd import read_pcd, write_pcd
 from farfield.files.point_times import PointTimeColumn
 from farfield.files.radar_cells import read_radar_cells, write_radar_cells
 from farfield.frame import Cloud
+from farfield.frame.cloud import returned
 from farfield.radar.axes import KRADAR_AXES, OUTSIDE, RadarAxes, cube_gather
 from farfield.radar.cells import RATES, RadarCells
 from farfield.radar.products import (
@@ -114,13 +115,16 @@ def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."] | RadarCel
     return points
 
 
-def check_power(path: Path | str, power: Float[np.ndarray, "..."], *, outside: float | None = None) -> None:
+def check_power(
+    path: Path | str, power: Float[np.ndarray, "..."], *, outside: float | None = None, name: str = "power"
+) -> None:
     """Refuse power that cannot be measured: a damaged file must not become cells that look sound.
 
     Args:
         path: The file.
         power: Linear power.
         outside: What stands for a cell outside the field of view, besides.
+        name: What it is called in the error.
 
     Raises:
         FileFormatError: If a cell is not finite or negative.
@@ -133,8 +137,8 @@ def check_power(path: Path | str, power: Float[np.ndarray, "..."], *, outside: f
     wrong = _impossible(power, outside)
     raise FileFormatError(
         path,
-        where="the power",
-        expected="finite power of 0 or more"
+        where=f"the {name}",
+        expected=f"finite {name} of 0 or more"
         + ("" if outside is None else f", or {outside:g} outside the field of view"),
         got=f"{int(wrong.sum())} cell(s) such as {power[wrong][0]:g}",
         fix="The file is damaged: fetch it again, or leave the frame out.",
@@ -255,33 +259,32 @@ def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
         FileFormatError: If the file is damaged or lacks a field.
     """
     fields = read_pcd(path)
-    missing = [name for name in _FIELDS if name not in fields or fields[name].ndim != 1]
-    if missing:
-        expected, actual = f"fields {' '.join(_FIELDS)}", f"no single {missing[0]!r} a point"
+    lacking = [name for name in _FIELDS if name not in fields or fields[name].ndim != 1]
+    if lacking:
+        expected, actual = f"fields {' '.join(_FIELDS)}", f"no single {lacking[0]!r} a point"
         raise FileFormatError(path, where="FIELDS", expected=expected, got=actual)
     points = np.stack([fields[axis].astype(np.float32) for axis in "xyz"], axis=1)
-    returned = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
+    valid = returned(path, points)
     columns, rest = divmod(len(points), LIDARS[lidar])
     signal = fields["intensity"].astype(np.float32)
-    time_ns = _times_ns(path, fields["t"], returned) + first_ns
+    check_power(path, signal[valid], name="intensities")
+    time_ns = _times_ns(path, fields["t"], valid) + first_ns
     extra = {"signal": signal, "time_ns": time_ns, "range_mm": fields["range"]}
     extra |= {name: fields[name] for name in ("reflectivity", "ring", "ambient")}
-    if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[returned].all():
+    if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[valid].all():
         extra["column"] = (np.arange(len(points)) % columns).astype(np.uint16)
-    with np.errstate(invalid="ignore"):
-        strength = np.clip(np.nan_to_num(signal / np.float32(INTENSITY_COUNTS)), 0, 1).astype(np.float32)
-    rest = {name: values[returned] for name, values in extra.items()}
-    return Cloud(points[returned], strength[returned], rest, int((~returned).sum()))
+    strength = np.clip(signal[valid] / np.float32(INTENSITY_COUNTS), 0, 1)
+    return Cloud(points[valid], strength, {name: values[valid] for name, values in extra.items()}, int((~valid).sum()))
 
 
-def _times_ns(path: Path, times: Num[np.ndarray, " n"], returned: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+def _times_ns(path: Path, times: Num[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
     """The driver's ``t`` in nanoseconds, in the unit that a turn of 0.1 s shows; nanoseconds where it shows none."""
     is_integer = times.dtype.kind in "iu"
-    column = PointTimeColumn("t", times[returned], path, None, _TURN_NS, usual_unit="ns" if is_integer else None)
+    column = PointTimeColumn("t", times[valid], path, None, _TURN_NS, usual_unit="ns" if is_integer else None)
     if is_integer and column.unit() == "ns" and int(times.max(initial=0)) < _FAR_NS:
         return times.astype(np.int64)  # of points without return too, as they are
     times_ns = np.zeros(len(times), dtype=np.int64)
-    times_ns[returned] = column.offsets_ns()
+    times_ns[valid] = column.offsets_ns()
     return times_ns
 
 
