@@ -228,3 +228,10 @@ def test_an_organised_cloud_counts_what_did_not_return(tmp_path: Path) -> None:
     cloud = read_cloud(tmp_path / "a.pcd")
     assert (len(cloud), cloud.missing) == (POINTS // 2, POINTS // 2)
     assert cloud.extra["offset_ns"].max() == turn_ns()[-1]
+
+
+def test_seconds_since_1970_in_float32_are_refused_though_all_are_one(tmp_path: Path) -> None:
+    times = ((START_NS + turn_ns()) / 1e9).astype(np.float32)
+    write_pcd(tmp_path / "a.pcd", dict(zip("xyz", PLACES.T, strict=True)) | {"time": times})
+    with pytest.raises(FileFormatError, match=r"tell points apart.*float32"):
+        read_cloud(tmp_path / "a.pcd")

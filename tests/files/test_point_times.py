@@ -49,7 +49,7 @@ def test_a_turn_gives_offsets_of_a_turn(dtype: str, unit: str, epoch: str) -> No
 
 
 def test_seconds_since_1970_in_float32_are_refused() -> None:
-    with pytest.raises(FileFormatError, match=r"float32.*128 s|1\.7"):
+    with pytest.raises(FileFormatError, match=r"tell points apart.*float32"):
         column(written("f4", "s", STAMP_NS)).offsets_ns()
 
 

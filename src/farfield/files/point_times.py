@@ -194,7 +194,11 @@ class PointTimeColumn:
 
     def _unit_of_one(self, first: Fraction) -> str | None:
         """The unit of times that are all one: by the stamp that they repeat; None where they are 0 or there is none."""
-        if first == 0 or self.stamp_ns is None:
+        if first == 0:
+            return None
+        if self.values.dtype.kind == "f" and self.values.dtype.itemsize <= 4 and float(np.spacing(self.values[0])) >= 1:
+            raise self._fault("times that tell points apart", f"{self.values.dtype}, {self.values[0]} for all")
+        if self.stamp_ns is None:
             return None
         near = [unit for unit, scale in UNITS_NS.items() if abs(first * scale - self.stamp_ns) <= _NEAR_NS]
         if not near:
