@@ -11,7 +11,9 @@ from farfield.datasets import open_dataset
 from farfield.errors import FarfieldError, FileFormatError
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.clouds import write_bin
+from farfield.files.kitti import read_tracking
 from farfield.frame import Annotation, Boxes
+from farfield.metrics.box_files import read_predictions
 
 GOOD = {"label": "vehicle", "centre_m": [10.0, 0.0, 0.0], "size_m": [4.0, 2.0, 1.5], "yaw_rad": 0.1, "track_id": 3}
 WRONG = [
@@ -62,9 +64,15 @@ def test_kitti(tmp_path: Path) -> None:
     write_bin(tmp_path / "training" / "velodyne" / "000000.bin", np.full((300, 4), 0.5, np.float32))
     (tmp_path / "training" / "calib" / "000000.txt").write_text(CALIB)
     label = tmp_path / "training" / "label_2" / "000000.txt"
-    label.write_text("Car 0 0 0 1 1 2 2 1.5 2 4 1e9 1 10 0\n")
-    with pytest.raises(FarfieldError, match=r"000000.*metres"):
-        _ = open_dataset(tmp_path)[0].annotation
+    for numbers in ("1.5 2 4 1e9 1 10 0", "1.5 2 1e8 1 1 10 0", "1.5 2 4 1 1 10 1e300"):
+        label.write_text(f"Car 0 0 0 1 1 2 2 {numbers}\n")
+        with pytest.raises(FarfieldError, match=r"000000.*line 1.*metres"):
+            _ = open_dataset(tmp_path)[0].annotation
+        with pytest.raises(FarfieldError, match=r"000000.*line 1.*metres"):
+            read_predictions(label.parent, format="kitti")
+        (tmp_path / "0000.txt").write_text(f"0 1 Car 0 0 0 1 1 2 2 {numbers}\n")
+        with pytest.raises(FarfieldError, match=r"0000.*line 1.*metres"):
+            read_tracking(tmp_path / "0000.txt")
 
 
 def test_any_reader_that_makes_an_annotation() -> None:

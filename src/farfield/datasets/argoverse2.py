@@ -17,7 +17,7 @@ from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
 from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
-from farfield.files.suffixes import any_case
+from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
@@ -58,15 +58,12 @@ def read_feather(path: Path, names: Sequence[str]) -> Table:
         raise FileFormatError(path, where="the file", expected="a feather table", got=str(error)[:200]) from error
 
 
-_SWEEPS, _PICTURES = f"sensors/lidar/*{any_case('.feather')}", f"*{any_case('.jpg')}"
-
-
 class _Log:
     """One drive: its sweeps, annotations, cameras and poses, each read once."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.sweeps = sorted((p for p in root.glob(_SWEEPS) if p.stem.isdigit()), key=_time)
+        self.sweeps = sorted((p for p in root.glob(pattern_in_any_case(_SWEEPS)) if p.stem.isdigit()), key=_time)
 
     @cached_property
     def annotation_path(self) -> Path | None:
@@ -128,7 +125,10 @@ class _Log:
     @cached_property
     def images(self) -> dict[str, list[Path]]:
         folders = sorted(path for path in self.root.glob("sensors/cameras/*") if path.is_dir())
-        return {f.name: sorted((p for p in f.glob(_PICTURES) if p.stem.isdigit()), key=_time) for f in folders}
+        return {
+            f.name: sorted((p for p in f.glob(pattern_in_any_case("*.jpg")) if p.stem.isdigit()), key=_time)
+            for f in folders
+        }
 
 
 _LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3")
@@ -173,7 +173,9 @@ class Argoverse2(Dataset):
     def __init__(self, root: Path | str, *, classes: Literal["cirrus", "argoverse2"] = "cirrus") -> None:
         self.root, self.classes = Path(root), classes
         prefixes = ("", "*/", "*/*/")
-        folders = {path.parents[2] for prefix in prefixes for path in self.root.glob(f"{prefix}{_SWEEPS}")}
+        folders = {
+            path.parents[2] for prefix in prefixes for path in self.root.glob(pattern_in_any_case(f"{prefix}{_SWEEPS}"))
+        }
         folders |= {
             path.parent for prefix in prefixes for name in _ANNOTATIONS for path in self.root.glob(prefix + name)
         }
