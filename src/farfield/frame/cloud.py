@@ -377,7 +377,9 @@ def named_columns(
     if isinstance(columns, np.ndarray):
         names = (row_names or {}).get(columns.shape[1]) or names_of(points_of(path, columns))
         return dict(zip(names, columns.T, strict=True))
-    lower = {name.lower(): name for name in reversed(columns)} | {name: name for name in columns if name.islower()}
+    lower = {name.lower(): name for name in reversed(list(columns))} | {
+        name: name for name in columns if name.islower()
+    }
     ours = {lower[axis]: axis for axis in "xyz" if axis in lower}
     strength = next((lower[name] for name in INTENSITY_NAMES if name in lower), None)
     if strength is not None:
