@@ -45,11 +45,10 @@ OPENS = {
     "compare", "radar", "calibrate", "sync", "track", "anonymize", "report",
 }  # fmt: skip
 NO_COLUMNS = {
-    "compare": "of two data sets: which of them would be meant?",
+    "compare": "of two data sets: --columns-a, --columns-b",
     "sync": "reads stamps",
     "track": "reads boxes",
     "anonymize": "reads pictures",
-    "report": "reads evaluations",
 }
 NO_CLOUDS = {
     "doctor": "looks at all clouds",
