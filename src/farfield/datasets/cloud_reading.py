@@ -84,7 +84,9 @@ class CloudReading:
         for path, columns in samples.items():
             with suppress(FarfieldError):
                 named = named_columns(path, columns, row_names)
-                valid = returned(path, np.column_stack([named[axis] for axis in "xyz" if axis in named]))
+                if not {"x", "y", "z"} <= set(named):
+                    continue
+                valid = returned(path, np.column_stack([named[axis] for axis in "xyz"]))
                 strengths.append(named.get("intensity", np.zeros(len(valid), np.float32))[valid])
                 name = point_time_column(named)
                 if name is not None and self.point_times == "auto":

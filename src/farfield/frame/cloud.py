@@ -499,8 +499,9 @@ def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: Cloud
     if lacking:
         raise DatasetError(f"{path}: expected columns x, y, z; missing {', '.join(lacking)} of {', '.join(columns)}")
     points = np.empty((len(columns["x"]), 3), dtype=np.float32)
-    for axis, name in enumerate("xyz"):
-        points[:, axis] = columns[name]
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite, and refused
+        for axis, name in enumerate("xyz"):
+            points[:, axis] = columns[name]
     valid = returned(path, points)
     if not valid.all():
         rest = {name: value[valid] for name, value in columns.items()}
@@ -528,8 +529,9 @@ def returned(path: Path | str, points_m: Num[np.ndarray, "n 3"]) -> Bool[np.ndar
         DatasetError: If a coordinate is infinite.
     """
     number_type = np.result_type(points_m.dtype, np.float32)
-    x, y, z = (np.abs(points_m[:, axis].astype(number_type, copy=False)) for axis in range(3))
-    extent = x + y + z  # 0, or NaN, where nothing returned
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, y, z = (np.abs(points_m[:, axis].astype(number_type, copy=False)) for axis in range(3))
+        extent = x + y + z  # 0, or NaN, where nothing returned
     if np.isinf(extent).any():
         row = int(np.argmax(np.isinf(extent)))
         raise DatasetError(f"{path}: expected finite coordinates, got {points_m[row].tolist()} in point {row}")
