@@ -328,6 +328,7 @@ def _places(rows: Float32[np.ndarray, "n c"]) -> bool:
     return bool(finite.any() and near)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged numbers
 def names_of(rows: Shaped[np.ndarray, "n c"]) -> tuple[str, ...]:
     """Names by what the columns hold, the first three being x, y and z.
 

@@ -13,6 +13,7 @@ _FEW, _LITTLE_BEYOND = 0.01, 1.5
 """Outliers: share of the intensities above 0 that lie beyond a scale, and how far they may if all are whole numbers."""
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged numbers
 def intensity_scale_of(strengths: Sequence[Shaped[np.ndarray, " _"]]) -> float:
     """Value that stands for full reflectance in the clouds of a data set: 1, 255 or 65535.
 
@@ -36,6 +37,7 @@ def intensity_scale_of(strengths: Sequence[Shaped[np.ndarray, " _"]]) -> float:
     return largest
 
 
+@np.errstate(invalid="ignore", over="ignore")
 def scaled_intensity(
     path: Path | str, strength: Shaped[np.ndarray, " n"], scale: float | int
 ) -> Float32[np.ndarray, " n"]:

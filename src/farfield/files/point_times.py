@@ -212,6 +212,7 @@ class PointTimeColumn:
         least = self.values.min()
         return Fraction(int(least)) if self.values.dtype.kind in "iu" else Fraction(float(least))
 
+    @np.errstate(invalid="ignore", over="ignore")
     def _since_first(self) -> Float[np.ndarray, " n"]:
         """Times since the least of them, in the column's unit, without overflow of any number type."""
         if self.values.dtype.kind in "iu":
