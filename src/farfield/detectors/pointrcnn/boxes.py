@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from farfield.detectors.config import range_weights
-from farfield.detectors.nms import rotated_nms
+from farfield.detectors.nms import surviving_boxes
 from farfield.detectors.pointrcnn.points import BandConfig, first_of_bands
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.iou import pairwise_iou
@@ -219,10 +219,10 @@ class Match(NamedTuple):
         return (self.iou >= config.refined_iou) | (self.gap_m <= config.refined_m)
 
 
-def as_boxes(rows: Float[np.ndarray, "n 7"], score: Float[np.ndarray, " n"] | None = None) -> Boxes:
+def as_boxes(rows: Float[np.ndarray, "n 7"]) -> Boxes:
     """Rows x, y, z, length, width, height, yaw as boxes."""
     rows = rows.astype(np.float64)
-    return Boxes(centre_m=rows[:, :3], size_m=rows[:, 3:6], yaw_rad=rows[:, 6], score=score)
+    return Boxes(centre_m=rows[:, :3], size_m=rows[:, 3:6], yaw_rad=rows[:, 6])
 
 
 def first_candidates(points: Tensor, score: Tensor, config: ProposalConfig) -> Tensor:
@@ -232,18 +232,16 @@ def first_candidates(points: Tensor, score: Tensor, config: ProposalConfig) -> T
     return order[first_of_bands(config.bands.of(points[order]), config.bands.shares, config.candidates)]
 
 
-def keep_proposals(boxes: Tensor, score: Tensor, config: ProposalConfig, *, training: bool) -> Tensor:
+def keep_proposals(boxes: Tensor, config: ProposalConfig, *, training: bool) -> Tensor:
     """Rows of one frame's candidates that survive suppression and their band's budget, best first, shape (k,).
 
     Args:
         boxes: Proposed boxes, best first, shape (n, 7).
-        score: Their scores, shape (n,).
         config: Budgets.
         training: Take the numbers of the training.
     """
     iou, count = (config.training_nms_iou, config.training_count) if training else (config.nms_iou, config.count)
-    scored = as_boxes(boxes.cpu().numpy(), score.double().cpu().numpy())
-    rows = torch.from_numpy(rotated_nms(scored, iou_threshold=iou, limit=max(len(scored), 1))).to(boxes.device)
+    rows = surviving_boxes(boxes.double(), iou)
     return rows[first_of_bands(config.bands.of(boxes[rows]), config.bands.shares, count)]
 
 

@@ -13,6 +13,8 @@ import triton  # type: ignore[import-not-found,unused-ignore]
 import triton.language as tl  # type: ignore[import-not-found,unused-ignore]
 from torch import Tensor
 
+from farfield.detectors.devices import sent
+
 _BLOCK = 2048  # points that a program handles at once
 _HELD = 16384  # points whose gaps fit in a program's registers
 _LEAST = 128  # four parts of a warp
@@ -89,7 +91,7 @@ def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> Tenso
         lengths: Rows of each frame.
         count: Points to choose of each frame.
     """
-    length = torch.tensor(lengths, dtype=torch.int32, device=points.device)
+    length = sent(torch.tensor(lengths, dtype=torch.int32), points.device)
     start = (length.cumsum(0) - length).int()
     chosen = torch.empty(len(lengths), count, dtype=torch.long, device=points.device)
     longest = max(lengths)
