@@ -260,6 +260,7 @@ def _spread(points: Tensor, finest_m: float) -> Tensor:
 
 _CANDIDATES = 1 << 21  # pairs looked at in one go
 _DISTANCES = 1 << 25  # distances held at once where all are computed
+_DENSE_PAIRS = 1 << 23  # pairs of which a GPU computes all distances: calls cost it more than numbers
 
 
 class Groups(NamedTuple):
@@ -313,20 +314,22 @@ def chunks(cost: Tensor, limit: int) -> Iterator[tuple[slice, int]]:
     step = torch.div(ends - cost, limit, rounding_mode="floor")
     edges = torch.nonzero(torch.diff(step))[:, 0].add(1).tolist()
     sums = np.diff([0, *ends[[edge - 1 for edge in edges]].tolist(), total]).tolist()
-    yield from (
-        (slice(a, b), size) for a, b, size in zip([0, *edges], [*edges, len(cost)], sums, strict=True)
-    )
+    yield from ((slice(a, b), size) for a, b, size in zip([0, *edges], [*edges, len(cost)], sums, strict=True))
 
 
 def first_pairs(keys: Tensor, points: int, limit: int, count: int) -> Groups:
     """Groups from unsorted numbers centre * points + point, at most ``limit`` pairs a centre."""
     keys = sorted_keys(keys)
     centre = torch.div(keys, max(points, 1), rounding_mode="floor")
-    early = torch.ones_like(centre, dtype=torch.bool)
-    torch.ne(centre[limit:], centre[:-limit], out=early[limit:])  # the pair ``limit`` before is another centre's
+    return _first_of_each(Groups(centre, torch.sub(keys, centre, alpha=points), count), limit)
+
+
+def _first_of_each(pairs: Groups, limit: int) -> Groups:
+    """The first ``limit`` pairs of each centre."""
+    early = torch.ones_like(pairs.centre, dtype=torch.bool)
+    torch.ne(pairs.centre[limit:], pairs.centre[:-limit], out=early[limit:])  # the pair before by so many is another's
     row = early.nonzero().squeeze(1)
-    centre = centre.index_select(0, row)
-    return Groups(centre, keys.index_select(0, row) - centre * points, count)
+    return Groups(pairs.centre.index_select(0, row), pairs.point.index_select(0, row), pairs.centres)
 
 
 def ball_query(
@@ -356,6 +359,8 @@ def ball_query(
         none = torch.zeros(0, dtype=torch.long, device=points.device)
         return [Groups(none, none, m) for _ in radii_m]
     points, centres = points.detach().float(), centres.detach().float()
+    if points.is_cuda and len(lengths) == 1 and n * m <= _DENSE_PAIRS:
+        return all_within(points, centres, radii_m, limits)
     order, low, high = _cells_around(points, lengths, centres, centre_lengths, 1.001 * max(radii_m))
     sorted_points = points[order]
     pairs: list[list[Tensor]] = [[] for _ in radii_m]
@@ -369,6 +374,15 @@ def ball_query(
             keys.append(torch.add(row, centre.index_select(0, near), alpha=n))
     joined = [keys[0] if len(keys) == 1 else torch.cat(keys) for keys in pairs]
     return [first_pairs(keys, n, limit, m) for keys, limit in zip(joined, limits, strict=True)]
+
+
+def all_within(points: Tensor, centres: Tensor, radii_m: Sequence[float], limits: Sequence[int]) -> list[Groups]:
+    """The groups of :func:`ball_query` for one frame from the distances of all pairs: a third of the calls."""
+    gap2 = (points[:, 0] - centres[:, 0, None]).square_()
+    for axis in (1, 2):
+        gap2 += (points[:, axis] - centres[:, axis, None]).square_()
+    pairs = [(gap2 <= radius * radius).nonzero().unbind(1) for radius in radii_m]
+    return [_first_of_each(Groups(*pair, len(centres)), limit) for pair, limit in zip(pairs, limits, strict=True)]
 
 
 def _cells_around(

@@ -101,7 +101,15 @@ def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> Tenso
         columns = points.T[:, torch.where(slot < length[:, None], start[:, None] + slot, 0)].contiguous()
         warps = min(max(part // _OF_A_WARP, 1), 32)
         _farthest_held[(len(lengths),)](
-            columns, start, length, chosen, columns[0].numel(), count, part=part, num_warps=warps, enable_fp_fusion=False
+            columns,
+            start,
+            length,
+            chosen,
+            columns[0].numel(),
+            count,
+            part=part,
+            num_warps=warps,
+            enable_fp_fusion=False,
         )
     else:
         gap2 = torch.full((len(points),), torch.inf, device=points.device)
