@@ -115,16 +115,17 @@ class BinCoder:
 
     def decode(self, codes: Tensor, reference: Tensor) -> Tensor:
         """Boxes (k, 7) from a network's output (k, numbers); sizes are kept within 1/50 to 20 times the reference."""
-        config, parts = self.config, self.split(codes.float())
-        best = [logits.argmax(1, keepdim=True) for logits in parts.logits]
-        rest = [residual.gather(1, index)[:, 0] for residual, index in zip(parts.residuals, best, strict=True)]
+        config, codes = self.config, codes.float()
+        parts, axes = self.split(codes), codes[:, : 4 * config.per_axis].reshape(len(codes), 2, 2, config.per_axis)
+        best = axes[:, 0].argmax(2, keepdim=True)  # of x and of y: logits of both come first, then the residuals
         along, across = (
-            (index[:, 0] + 0.5 + part / 2) * config.bin_m - config.scope_m
-            for index, part in zip(best[:2], rest[:2], strict=True)
+            ((best + 0.5 + axes[:, 1].gather(2, best) / 2) * config.bin_m - config.scope_m).squeeze(2).unbind(1)
         )
+        turn_bin = parts.logits[2].argmax(1, keepdim=True)
+        turn_rest = parts.residuals[2].gather(1, turn_bin)
         cos, sin = torch.cos(reference[:, 6]), torch.sin(reference[:, 6])
         x, y = along * cos - across * sin, along * sin + across * cos
-        turn = (best[2][:, 0] + 0.5 + rest[2] / 2) * self.heading_bin_rad - self._first_edge()
+        turn = ((turn_bin + 0.5 + turn_rest / 2) * self.heading_bin_rad - self._first_edge()).squeeze(1)
         ratio = parts.size.clamp(-4, 3).exp() if config.log_size else parts.size + 1
         yaw = torch.remainder(reference[:, 6] + turn + math.pi, 2 * math.pi) - math.pi
         centre = reference[:, :3] + torch.stack([x, y, parts.z[:, 0]], 1)
