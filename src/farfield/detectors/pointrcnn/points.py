@@ -382,7 +382,8 @@ def all_within(points: Tensor, centres: Tensor, radii_m: Sequence[float], limits
     for axis in (1, 2):
         gap2 += (points[:, axis] - centres[:, axis, None]).square_()
     pairs = [(gap2 <= radius * radius).nonzero().unbind(1) for radius in radii_m]
-    return [_first_of_each(Groups(*pair, len(centres)), limit) for pair, limit in zip(pairs, limits, strict=True)]
+    groups = [Groups(pair[0], pair[1], len(centres)) for pair in pairs]
+    return [_first_of_each(group, limit) for group, limit in zip(groups, limits, strict=True)]
 
 
 def _cells_around(

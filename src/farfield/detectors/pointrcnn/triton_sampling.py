@@ -78,9 +78,9 @@ def _farthest_held(columns, starts, lengths, chosen, stride, count, part: tl.con
         gap2_c = _nearer(gap2_c, at + 2 * part, stride, x0, y0, z0)
         gap2_d = _nearer(gap2_d, at + 3 * part, stride, x0, y0, z0)
         most = tl.maximum(tl.maximum(gap2_a, gap2_b), tl.maximum(gap2_c, gap2_d))
-        place = tl.where(gap2_c == most, row + 2 * part, row + 3 * part)
-        place = tl.where(gap2_a == most, row, tl.where(gap2_b == most, row + part, place))
-        _, current = tl.reduce((most, place), 0, _farther)
+        slot = tl.where(gap2_c == most, row + 2 * part, row + 3 * part)
+        slot = tl.where(gap2_a == most, row, tl.where(gap2_b == most, row + part, slot))
+        _, current = tl.reduce((most, slot), 0, _farther)
 
 
 def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> Tensor:
