@@ -1,4 +1,8 @@
-"""Trained weights as safetensors files: tensors, and beside them everything needed to rebuild and to trust them."""
+"""Trained weights as safetensors files: tensors, and beside them everything needed to rebuild and to trust them.
+
+A file carries the SHA-256 of all its bytes (:mod:`farfield.files.safetensors`). Files of earlier versions carry none;
+what they hold is checked as far as numbers and shapes tell.
+"""
 
 import json
 from importlib.resources import files
@@ -11,11 +15,14 @@ from safetensors.torch import save
 from torch import Tensor
 
 from farfield.detectors.network import Network, build_detector
+from farfield.detectors.soundness import unlike, unsound
 from farfield.detectors.spec import DETECTORS
 from farfield.errors import FarfieldError, FileFormatError, plain
 from farfield.files.atomic import write_bytes
+from farfield.files.safetensors import KEY, check_digest, with_digest
 
 _MAX_METADATA_BYTES = 4_000_000
+_KEYS = {"format", "config", "provenance"}
 
 
 def save_weights(
@@ -29,6 +36,9 @@ def save_weights(
         config: The detector's configuration object.
         provenance: Seed, versions, commit, data fingerprint, metric convention, resolved experiment.
         half: Store matrices and kernels in float16, at half the size; vectors stay as they are.
+
+    Raises:
+        FarfieldError: If a number is not finite, or none that a training leaves; nothing is written.
     """
     metadata = {
         "format": "farfield-detector-1",
@@ -38,21 +48,12 @@ def save_weights(
     tensors = {name: tensor.detach().to("cpu").contiguous().clone() for name, tensor in state.items()}
     if half:
         tensors = {name: t.half() if t.ndim > 1 and t.is_floating_point() else t for name, t in tensors.items()}
-    write_bytes(path, _in_order(save(tensors, metadata=metadata)))
-
-
-def _in_order(data: bytes) -> bytes:
-    """The same file with its metadata in the order of their names: safetensors writes them as its hash table has them.
-
-    A file is the length of its header (8 bytes, little-endian), the header in JSON, padded by blanks to a multiple of
-    8 bytes, and the tensors, whose places count from the header's end (safetensors, "Format").
-    """
-    end = 8 + int.from_bytes(data[:8], "little")
-    header = json.loads(data[8:end])
-    header = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
-    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + data[end:]
+    if (fault := unsound(tensors)) is not None:
+        raise FarfieldError(
+            f"{path}: expected finite weights to write, found {fault[1]} of {fault[0]}. The training went astray: go "
+            "on from an earlier state with a lower training.learning_rate. Nothing was written."
+        )
+    write_bytes(path, with_digest(save(tensors, metadata=metadata)))
 
 
 def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
@@ -62,8 +63,8 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         The network in evaluation mode on the CPU, and the provenance of its training.
 
     Raises:
-        FileFormatError: If the file is not one of ours, does not fit the network that it describes, or describes a
-            detector that is not installed.
+        FileFormatError: If the file is not one of ours, changed since it was written, holds numbers that no training
+            leaves, does not fit the network that it describes, or describes a detector that is not installed.
     """
     if not path.is_file():
         raise FarfieldError(f"{path}: expected a weights file, found nothing. Train one with: farfield train")
@@ -73,15 +74,28 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except SafetensorError as error:
         raise FileFormatError(path, where="header", expected="safetensors", got=str(error)) from error
+    except (ValueError, TypeError, KeyError, RuntimeError) as error:
+        raise FileFormatError(
+            path, where="header", expected="tensors of safetensors", got=plain(error)[:300]
+        ) from error
     tensors = {name: t.float() if t.dtype == torch.float16 else t for name, t in tensors.items()}
-    is_ours = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
+    is_ours = metadata.get("format") == "farfield-detector-1" and set(metadata) in (_KEYS, {*_KEYS, KEY})
     if not is_ours or sum(map(len, metadata.values())) > _MAX_METADATA_BYTES:
         raise FileFormatError(
             path,
             where="metadata",
             expected="format farfield-detector-1",
-            got=repr(metadata.get("format")),
+            got=f"{metadata.get('format')!r} with {', '.join(sorted(metadata)) or 'nothing'}"[:300],
             fix="Weights of other codebases need an import first.",
+        )
+    check_digest(path, path.read_bytes())
+    if (fault := unsound(tensors)) is not None:
+        raise FileFormatError(
+            path,
+            where=fault[0],
+            expected="numbers as a training leaves them",
+            got=fault[1],
+            fix="The file is damaged, or its training went astray: copy it anew, or take earlier weights.",
         )
     try:
         described, provenance = json.loads(metadata["config"]), json.loads(metadata["provenance"])
@@ -97,6 +111,8 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         config = DETECTORS[name].config_class.model_validate(described)
         with torch.device("meta"):  # shapes only: nothing is allocated on the word of the file
             network = build_detector(config)
+        if (misfit := unlike(tensors, network.state_dict())) is not None:
+            raise FileFormatError(path, where=misfit[0], expected=misfit[1], got=misfit[2])
         network.load_state_dict(tensors, assign=True)
     except FileFormatError:
         raise

@@ -1,0 +1,56 @@
+"""Numbers that no training leaves: what is not finite, absurdly large, or a spread below zero."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+LARGEST = 1e10
+"""No weight is larger; a flipped bit of a float32's exponent makes about 1e36 of 0.01."""
+_STATISTICS = ("running_mean", "running_var")
+"""Batch statistics are those of what a network reads, such as a radar's power, and may be larger."""
+
+
+def unsound(tensors: Mapping[str, Tensor]) -> tuple[str, str] | None:
+    """The first tensor with a number that no training leaves.
+
+    Args:
+        tensors: The state of a network by name, any shapes.
+
+    Returns:
+        Its name and what it holds, such as ``("head.weight", "nan at 17 of 64 numbers")``; None if all are sound.
+    """
+    for name, tensor in tensors.items():
+        last = name.rpartition(".")[2]
+        wrong = ~torch.isfinite(tensor)
+        if last not in _STATISTICS and tensor.is_floating_point():
+            wrong |= tensor.abs() > LARGEST
+        if last in ("running_var", "num_batches_tracked"):
+            wrong |= tensor < 0
+        if bool(wrong.any()):
+            values = tensor[wrong].reshape(-1)
+            return name, f"{float(values[0]):g} in {len(values)} of {tensor.numel()} numbers"
+    return None
+
+
+def unlike(tensors: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> tuple[str, str, str] | None:
+    """The first tensor that is lacking, strange, or of another shape or number type than a network's.
+
+    Args:
+        tensors: What a file holds, by name.
+        expected: The network's state; its values do not matter.
+
+    Returns:
+        Its name, what is expected and what stands there instead; None if all are alike.
+    """
+    for name in (*expected, *tensors):
+        there, here = tensors.get(name), expected.get(name)
+        if there is None or here is None or there.shape != here.shape or there.dtype != here.dtype:
+            return name, _described(here), _described(there)
+    return None
+
+
+def _described(tensor: Tensor | None) -> str:
+    if tensor is None:
+        return "no such tensor"
+    return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
