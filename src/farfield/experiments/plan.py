@@ -10,7 +10,7 @@ from typing import Any
 from farfield.adaptation.failure_modes import diagnose_log
 from farfield.datasets import Dataset
 from farfield.detectors import build_detector
-from farfield.errors import ConfigError, plain
+from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.experiments.frames import held_out, open_frames, spread
 from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.experiments.validation import Validation
@@ -235,15 +235,32 @@ class Plan:
         path = self.folder / START_NAME
         if self.experiment.training.start is None or not path.is_file():
             return {}
-        written = json.loads(path.read_text(encoding="utf-8"))
-        return {"start": {name: written[name] for name in ("weights", "sha256", "share")}}
+        try:
+            written = json.loads(path.read_text(encoding="utf-8"))
+            return {"start": {name: written[name] for name in ("weights", "sha256", "share")}}
+        except (ValueError, KeyError, TypeError) as error:
+            fix = "Remove the run's folder to begin anew."
+            expected = "what a run took of the weights that it started from"
+            raise FileFormatError(path, where="the file", expected=expected, got=plain(error), fix=fix) from error
 
 
 def logged(folder: Path) -> list[dict[str, float | int]]:
-    """The rows of a run's log by step; of steps that a resumed run took again, the last ones."""
+    """The rows of a run's log by step; of steps that a resumed run took again, the last ones.
+
+    Raises:
+        FileFormatError: If a line is damaged.
+    """
     path = folder / LOG_NAME
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-    rows = {row["step"]: row for row in map(json.loads, lines)}
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else []
+    rows = {}
+    for number, line in enumerate(lines, 1):
+        try:
+            row = json.loads(line)
+            rows[int(row["step"])] = row
+        except (ValueError, KeyError, TypeError) as error:
+            where, expected = f"line {number}", "the losses of a step as JSON"
+            fix = "Remove the line: the run and its page do without."
+            raise FileFormatError(path, where=where, expected=expected, got=plain(error), fix=fix) from error
     return [rows[step] for step in sorted(rows)]
 
 

@@ -1,7 +1,15 @@
-"""Checkpoints of a running training: whole or absent, never torn, never pickled code."""
+"""Checkpoints of a running training: whole or absent, never torn, never pickled code.
 
+A file is what ``torch.save`` writes, a zip archive, and behind it the SHA-256 of its bytes. Those of earlier versions
+end with the archive, whose checksums cover the numbers.
+"""
+
+import hashlib
 import io
 import json
+import math
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from farfield.detectors import DETECTORS
+from farfield.detectors.soundness import unlike, unsound
 from farfield.errors import ConfigError, FarfieldError, FileFormatError, plain
 from farfield.files.atomic import write_bytes, write_text
 
@@ -20,30 +29,64 @@ BEST = "best"
 """Stem of the best weights' file, and of what is known of them."""
 
 
+_MARK = b"farfield-sha256:"
+_TRAILER_BYTES = len(_MARK) + 64
+_ARCHIVE_END, _ARCHIVE_END_BYTES = b"PK\x05\x06", 22
+_ANEW = "Remove it to begin anew."
+
+
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write tensors and plain values atomically: a killed process leaves the previous checkpoint."""
     buffer = io.BytesIO()
     torch.save(state, buffer)
-    write_bytes(path, buffer.getvalue())
+    data = buffer.getvalue()
+    write_bytes(path, data + _MARK + hashlib.sha256(data).hexdigest().encode())
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
     """Read a checkpoint; anything but tensors and plain values is refused.
 
     Raises:
-        FileFormatError: If the file is damaged or holds other objects.
+        FileFormatError: If the file changed since it was written, is damaged, or holds other objects.
     """
+    data = path.read_bytes()
+    archive, trailer = data[:-_TRAILER_BYTES], data[-_TRAILER_BYTES:]
+    if trailer.startswith(_MARK):
+        stated, actual = trailer[len(_MARK) :], hashlib.sha256(archive).hexdigest().encode()
+        if actual != stated:
+            got = actual[:16].decode()
+            expected = f"the bytes as they were written, of the SHA-256 {stated[:16].decode('ascii', 'replace')}"
+            raise FileFormatError(path, where="digest", expected=expected, got=got, fix=_ANEW)
+    else:
+        archive = data
+        _check_archive(path, data)
     try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        state = torch.load(io.BytesIO(archive), map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds for damaged or hostile files
-        raise FileFormatError(
-            path,
-            where="file",
-            expected="a checkpoint of farfield train",
-            got=str(error)[:200],
-            fix="Remove it to begin anew.",
-        ) from error
+        got = str(error)[:200]
+        expected = "a checkpoint of farfield train"
+        raise FileFormatError(path, where="file", expected=expected, got=got, fix=_ANEW) from error
+    if not isinstance(state, dict):
+        got = type(state).__name__
+        raise FileFormatError(path, where="file", expected="a checkpoint of farfield train", got=got, fix=_ANEW)
     return state
+
+
+def _check_archive(path: Path, data: bytes) -> None:
+    """Compare what a checkpoint of an earlier version holds with its archive's checksums."""
+    got = ""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            damaged = archive.testzip()
+        if damaged is not None:
+            got = f"another checksum at {damaged}"
+        elif data[-_ARCHIVE_END_BYTES:][: len(_ARCHIVE_END)] != _ARCHIVE_END:
+            got = "other bytes behind it, such as a damaged digest"
+    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, NotImplementedError, RuntimeError) as error:
+        got = plain(error)[:200]
+    if got:
+        expected = "a checkpoint of farfield train, an archive with the checksum of what it holds"
+        raise FileFormatError(path, where="file", expected=expected, got=got, fix=_ANEW)
 
 
 STEPS = "training.steps"
@@ -88,25 +131,105 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
     Checkpoints of the first form, with the key ``network``, are read as those of the module ``detector``.
 
     Raises:
-        FileFormatError: If the file is damaged.
+        FileFormatError: If the file is damaged, or holds shapes or numbers that this training does not leave.
         ConfigError: If it belongs to another experiment, to other data or to other modules.
     """
     if not path.is_file():
         return None
     state = load_checkpoint(path)
     try:
-        saved, step = json.loads(state["provenance"]), int(state["step"])
-        modules_state, average, optimizer = _module_states(state), state["average"], state["optimizer"]
+        saved, step = json.loads(state["provenance"]), state["step"]
+        modules_state, average, optimizer = _module_states(state), dict(state["average"]), dict(state["optimizer"])
+        if not isinstance(saved, Mapping) or isinstance(step, bool) or not isinstance(step, int) or step < 0:
+            raise ValueError(f"step {step!r} of {type(saved).__name__}")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FileFormatError(
-            path, where="keys", expected="those of farfield train", got=plain(error), fix="Remove it to begin anew."
+            path, where="keys", expected="those of farfield train", got=plain(error), fix=_ANEW
         ) from error
     _check_same(path, saved, provenance, step)
     if "network" in state:
         average = {f"detector.{name}": value for name, value in average.items()}
-    if set(modules_state) != set(modules.state_dict()):
+    expected = modules.state_dict()
+    if set(modules_state) != set(expected):
         raise ConfigError(f"{path} holds other modules than the method: {', '.join(modules)}. Remove it to begin anew.")
+    _check_tensors(path, "modules", modules_state, expected)
+    _check_tensors(path, "average", average, {name: value.float() for name, value in expected.items()})
     return TrainingState(step, modules_state, optimizer, average, saved)
+
+
+def _check_tensors(path: Path, where: str, tensors: Mapping[str, Any], expected: Mapping[str, Tensor]) -> None:
+    """Refuse tensors of other names, shapes or types, and numbers that no training leaves."""
+    strange = next((name for name, tensor in tensors.items() if not isinstance(tensor, Tensor)), None)
+    if strange is not None:
+        got = type(tensors[strange]).__name__
+        raise FileFormatError(path, where=f"{where}, {strange}", expected="a tensor", got=got, fix=_ANEW)
+    if (misfit := unlike(tensors, expected)) is not None:
+        name, here, there = misfit
+        raise FileFormatError(path, where=f"{where}, {name}", expected=here, got=there, fix=_ANEW)
+    check_sound(path, where, tensors)
+
+
+def check_sound(path: Path, where: str, tensors: Mapping[str, Tensor]) -> None:
+    """Refuse numbers that no training leaves, in a checkpoint that is read or about to be written.
+
+    Args:
+        path: The checkpoint.
+        where: What of it the tensors are.
+        tensors: By name, any shapes.
+
+    Raises:
+        FileFormatError: If there is one.
+    """
+    if (fault := unsound(tensors)) is not None:
+        name, got = fault
+        fix = "Its training went astray, or the file is damaged. Remove the run's folder to begin anew."
+        expected = "numbers as a training leaves them"
+        raise FileFormatError(path, where=f"{where}, {name}", expected=expected, got=got, fix=fix)
+
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+def check_optimizer(path: Path, state: Mapping[str, Any], optimizer: torch.optim.Optimizer) -> None:
+    """See that the state of an optimiser is one of this very optimiser: torch trusts its shapes.
+
+    Args:
+        path: The checkpoint, for messages.
+        state: As AdamW's ``state_dict`` has it.
+        optimizer: The optimiser that is to take it.
+
+    Raises:
+        FileFormatError: If groups, parameters, shapes or number types are others, or a number is none that a training
+            leaves.
+    """
+    own = optimizer.state_dict()["param_groups"]
+    groups, moments = state.get("param_groups"), state.get("state")
+    if not isinstance(groups, list) or not isinstance(moments, Mapping):
+        expected, got = "param_groups and state", ", ".join(map(str, state)) or "nothing"
+        raise FileFormatError(path, where="optimizer", expected=expected, got=got, fix=_ANEW)
+    numbers = [group.get("params") if isinstance(group, Mapping) else None for group in groups]
+    if numbers != [group["params"] for group in own]:
+        expected = f"groups of {', '.join(str(len(group['params'])) for group in own)} parameters"
+        got = ", ".join(str(len(part)) if isinstance(part, list) else "none" for part in numbers) or "no group"
+        raise FileFormatError(path, where="optimizer, param_groups", expected=expected, got=got, fix=_ANEW)
+    for number, group in enumerate(groups):
+        for name, value in group.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                where = f"optimizer, param_groups, {number}, {name}"
+                raise FileFormatError(path, where=where, expected="a finite number", got=f"{value}", fix=_ANEW)
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    indices = [number for group in own for number in group["params"]]
+    by_number = dict(zip(indices, parameters, strict=True))
+    for number, values in moments.items():
+        where, parameter = f"optimizer, state, {number}", by_number.get(number)
+        if parameter is None or not isinstance(values, Mapping):
+            expected = f"moments of a parameter from 0 to {len(indices) - 1}"
+            raise FileFormatError(path, where=where, expected=expected, got=type(values).__name__, fix=_ANEW)
+        shapes = {"step": torch.zeros(()), **dict.fromkeys(_MOMENTS, parameter)}
+        _check_tensors(path, where, values, shapes)
+        if bool((values["exp_avg_sq"] < 0).any()) or float(values["step"]) < 0:
+            expected = "a mean of squares, and steps, of 0 or more"
+            raise FileFormatError(path, where=where, expected=expected, got="less", fix=_ANEW)
 
 
 def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, Any], step: int) -> None:
@@ -191,13 +314,24 @@ class BestScore:
 
     @classmethod
     def read(cls, folder: Path) -> "BestScore | None":
-        """What an earlier part of the run reached; None where nothing stands there."""
+        """What an earlier part of the run reached; None where nothing stands there.
+
+        Raises:
+            FileFormatError: If it is damaged.
+        """
         path = folder / f"{BEST}.json"
+        if not path.is_file():
+            return None
         try:
             tree = json.loads(path.read_text(encoding="utf-8"))
-            return cls(int(tree["step"]), float(tree["validation"]))
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
+            best = cls(int(tree["step"]), float(tree["validation"]))
+            if not (best.step >= 0 and 0 <= best.score <= 1):
+                raise ValueError(f"step {best.step}, validation {best.score}")
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            fix = "Remove it: the next validation then counts as the best."
+            expected = "a step, and a validation from 0 to 1"
+            raise FileFormatError(path, where="the file", expected=expected, got=plain(error), fix=fix) from error
+        return best
 
     def write(self, folder: Path) -> None:
         """Keep it."""

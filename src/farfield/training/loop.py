@@ -29,6 +29,8 @@ from farfield.training.checkpoints import (
     BestScore,
     TrainingState,
     best_of,
+    check_optimizer,
+    check_sound,
     load_run,
     prolonged,
     remove_best,
@@ -390,14 +392,16 @@ class Training:
             return
         if raised := prolonged(run.provenance, self.provenance, run.step):
             self.provenance = {**self.provenance, "prolonged": raised}
+        check_optimizer(self.checkpoint_path, run.optimizer, self._optimizer)
         self.modules.load_state_dict(run.modules)
         self._optimizer.load_state_dict(run.optimizer)
         copy_state(self._average, run.average)
         self.step = run.step
 
     def _save(self) -> None:
-        """Write the checkpoint."""
+        """Write the checkpoint; a state that could not be read again leaves the previous one."""
         state, optimizer = self.modules.state_dict(), self._optimizer.state_dict()
+        check_sound(self.checkpoint_path, "modules", state)
         run = TrainingState(self.step, state, optimizer, self._average, self.provenance)
         save_checkpoint(self.checkpoint_path, run.state())
         self._saved_s = time.monotonic()
