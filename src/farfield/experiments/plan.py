@@ -1,7 +1,7 @@
 """From an experiment to a run: processes, modules, data, loop."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from farfield.experiments.frames import held_out, open_frames, spread
 from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.experiments.validation import Validation
 from farfield.files.atomic import write_text
-from farfield.frame.provenance import environment
+from farfield.frame.provenance import SIMULATION_FILE, environment
 from farfield.simulation.recording import ensure
 from farfield.training.checkpoints import CHECKPOINT_NAME
 from farfield.training.loop import Training
@@ -67,6 +67,7 @@ class Plan:
             for config in (config for name, config in _groups(experiment).items() if name not in self.data):
                 ensure(config.simulate, config.path, partial(report.reading, what="simulating"), report.say)
         fabric.barrier()
+        experiment, _ = with_real_data_named(experiment, self.data)  # now that all is there that is simulated
         # Modules: the method's, which take what fits of the weights to start from
         method, transfer = self._method(fresh=not (self.folder / CHECKPOINT_NAME).is_file())
         # Data: the frames of each stream, of which some are held out
@@ -107,7 +108,8 @@ class Plan:
 
     def announce(self, report: TrainingReport) -> None:
         """Say what the run is about to do; errors are those of :meth:`run` that need no simulation to be found."""
-        experiment, training = self.experiment, self.experiment.training
+        experiment, notes = with_real_data_named(self.experiment, self.data)
+        training = experiment.training
         method, _ = self._method(fresh=False)
         configs = _configs(experiment, method)
         size = sum(parameter.numel() for parameter in method.modules[DETECTOR].parameters())
@@ -120,7 +122,7 @@ class Plan:
         counts: list[int] = []
         for name, stream in method.streams.items():
             of_stream = f" of the stream {name}" if len(method.streams) > 1 else ""
-            if name not in self.data and configs[name].simulate:
+            if name not in self.data and configs[name].simulate is not None:
                 lines.append(f"data{of_stream}: {_planned(configs[name])}")
                 continue
             data = self.data[name] if name in self.data else open_frames(configs[name], stream, experiment)
@@ -130,6 +132,7 @@ class Plan:
                 f"data{of_stream}: {data.root} ({data.name}), {len(data):,} frames of {drives} "
                 f"{'drive' if drives == 1 else 'drives'}"
             )
+        lines += notes
         frames = sum(counts) if len(counts) == len(method.streams) else 0
         passes = f", {training.steps * training.batch_size / frames:.1f} passes over the data" if frames else ""
         lines.append(
@@ -262,6 +265,33 @@ def logged(folder: Path) -> list[dict[str, float | int]]:
             fix = "Remove the line: the run and its page do without."
             raise FileFormatError(path, where=where, expected=expected, got=plain(error), fix=fix) from error
     return [rows[step] for step in sorted(rows)]
+
+
+def with_real_data_named(experiment: Experiment, opened: Collection[str] = ()) -> tuple[Experiment, list[str]]:
+    """The experiment without ``data.simulate`` where ``farfield simulate`` did not make the data that stand there.
+
+    Args:
+        experiment: The experiment.
+        opened: Streams whose frames are open already: who opened them says what they are.
+
+    Returns:
+        What is true of the data that are there, and a line on each group whose ``simulate`` was dropped.
+    """
+    groups, notes = _groups(experiment), []
+    for name, config in groups.items():
+        if name in opened or config.simulate is None or not config.path.exists():
+            continue
+        if not (config.path / SIMULATION_FILE).is_file():
+            groups[name] = config.model_copy(update={"simulate": None})
+            key = f"data.{name}.simulate" if name else "data.simulate"
+            notes.append(
+                f"{key} ({config.simulate.preset}) does not count and is dropped: farfield simulate did not make "
+                f"{config.path}, and the weights will not say so"
+            )
+    if not notes:
+        return experiment, notes
+    data = groups[""] if isinstance(experiment.data, DataConfig) else groups
+    return experiment.model_copy(update={"data": data}), notes
 
 
 def _groups(experiment: Experiment) -> dict[str, DataConfig]:

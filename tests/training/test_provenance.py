@@ -1,0 +1,102 @@
+"""What weights say of the data that they learnt from: what `simulate` did not make is never called simulated."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import farfield as ff
+from farfield.detectors.weights import load_weights
+from farfield.errors import ConfigError
+from farfield.evaluation.evaluating import training_text
+from farfield.experiments.plan import Plan
+from farfield.experiments.schema import load_experiment
+from farfield.frame.provenance import SIMULATION_FILE
+from farfield.training.report import TrainingReport
+
+SIMULATED = "data.simulate={preset: cirrus-sim-varied, sequences: 30, frames: 20, seed: 1}"
+
+
+class Lines(TrainingReport):
+    """Keeps the lines."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.lines.append(text)
+
+
+@pytest.fixture
+def own(data: Path, tmp_path: Path) -> Path:
+    """Sweeps that `simulate` did not make, as far as anyone can tell."""
+    shutil.copytree(data, tmp_path / "own")
+    (tmp_path / "own" / SIMULATION_FILE).unlink(missing_ok=True)
+    return tmp_path / "own"
+
+
+def test_own_data_in_the_place_of_simulated_ones_are_not_called_simulated(
+    experiment: Path, own: Path, tmp_path: Path
+) -> None:
+    words = [f"data.path={own}", SIMULATED, "training.steps=1", "augmentation.pasted={}"]
+    report, folder = Lines(), tmp_path / "run"
+    Plan(load_experiment(experiment, words), folder).run(report)
+    provenance = load_weights(folder / "weights.safetensors")[1]
+    assert "simulated" not in training_text(provenance), training_text(provenance)
+    assert training_text(provenance).startswith(f"3 frames of {own}, clouds gaussian and uniform, 1 steps of 2")
+    assert provenance["experiment"]["data"]["simulate"] is None
+    assert "cirrus-sim-varied" not in (folder / "experiment.yaml").read_text()
+    assert "cirrus-sim-varied" not in (folder / "provenance.json").read_text()
+    (line,) = [line for line in report.lines if "data.simulate" in line]
+    assert "farfield simulate did not make" in line
+    assert str(own) in line
+    assert any(line.startswith(f"data: {own} (cirrus), 3 frames") for line in report.lines)
+    assert not any("simulated before" in line for line in report.lines)
+
+
+def test_a_run_that_was_begun_before_goes_on(experiment: Path, own: Path, tmp_path: Path) -> None:
+    """Its checkpoint says that its data were simulated."""
+    from farfield.training.checkpoints import load_checkpoint, save_checkpoint
+
+    words = [f"data.path={own}", SIMULATED, "augmentation.pasted={}"]
+    path = tmp_path / "run" / "checkpoint.pt"
+    Plan(load_experiment(experiment, [*words, "training.steps=1"]), tmp_path / "run").run()
+    state = load_checkpoint(path)
+    provenance = json.loads(state["provenance"])
+    provenance["experiment"]["data"]["simulate"] = {"preset": "cirrus-sim-varied", "sequences": 30, "frames": 20}
+    save_checkpoint(path, {**state, "provenance": json.dumps(provenance)})
+    Plan(load_experiment(experiment, [*words, "training.steps=2"]), tmp_path / "run").run()
+    assert load_checkpoint(path)["step"] == 2
+
+
+def described(**data: Any) -> dict[str, Any]:
+    training = {"steps": 5, "batch_size": 2, "seed": 0}
+    return {"experiment": {"data": data, "method": {"name": "teacher"}, "training": training}, "frames": 240}
+
+
+def test_each_stream_is_named_by_its_own_data() -> None:
+    """Adapted weights learnt from real sweeps too."""
+    simulate = {"preset": "cirrus-sim", "seed": 1001}
+    provenance = {
+        **described(
+            source={"path": "s", "clouds": ["gaussian"], "simulate": simulate},
+            target={"path": "/data/mine", "clouds": ["lidar"], "simulate": None},
+        ),
+        "streams": {"source": {"frames": 240}, "target": {"frames": 17}},
+        "start": {"weights": "pointpillars-cirrus-sim"},
+    }
+    text = training_text(provenance)
+    assert text.startswith(
+        "240 simulated frames (preset cirrus-sim, seed 1001), clouds gaussian, and 17 frames of /data/mine, clouds "
+        "lidar, by the method teacher, from the weights pointpillars-cirrus-sim, 5 steps of 2"
+    )
+
+
+def test_a_source_that_was_not_simulated_is_refused(own: Path, tmp_path: Path) -> None:
+    shutil.copytree(own, tmp_path / "out" / "source")
+    with pytest.raises(ConfigError, match="farfield simulate did not make"):
+        ff.adapt("pointpillars-cirrus-sim", own, out=tmp_path / "out", steps=1, frames=1, source_frames=1)
