@@ -1,9 +1,13 @@
 """Whether the frames that are scored were learnt from, by fingerprints and splits."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from farfield.datasets import open_dataset
+from farfield.datasets.contents import frame_digests
 from farfield.datasets.memory import in_memory
 from farfield.evaluation import detect
 from farfield.evaluation.leakage import seen_in_training
@@ -32,7 +36,7 @@ def test_frames_of_the_training_are_named(simulated_cirrus: Path) -> None:
     some = Trained(data_fingerprint=part.fingerprint(), frames=1)
     assert seen_in_training(part, some.provenance, {part.keys[0]})[1] == 1
     other = Trained(data_fingerprint="0" * 64, frames=len(data))
-    assert seen_in_training(data, other.provenance, keys) == ("not found, it learnt from other data", 0)
+    assert seen_in_training(data, other.provenance, keys) == ("not known", 0), "names and sizes tell no other data"
     assert seen_in_training(data, {}, keys) == ("not known", 0)
     assert seen_in_training(in_memory([data[0]]), whole.provenance, keys) == ("not known", 0)
 
@@ -50,3 +54,59 @@ def test_a_score_on_learnt_frames_says_so(simulated_cirrus: Path) -> None:
     assert turned.subject is not None
     assert not result.subject.same_data(turned.subject)
     assert "learnt from" not in " ".join(turned.notes)
+
+
+def learnt(*digests: str, **others: Any) -> dict[str, Any]:
+    """A provenance as trainings leave it."""
+    return {"streams": {"labelled": {"frame_digests": " ".join(digests)}}, **others}
+
+
+def own_folder(root: Path, names: tuple[str, ...], rng: np.random.Generator) -> Path:
+    """Sweeps of one size: their names and sizes tell nothing."""
+    root.mkdir()
+    for name in names:
+        np.save(root / f"{name}.npy", rng.normal(0, 20, (400, 4)).astype(np.float32))
+    return root
+
+
+def test_frames_are_compared_by_their_contents(simulated_cirrus: Path, tmp_path: Path) -> None:
+    data = open_dataset(simulated_cirrus)
+    digests = frame_digests(data)
+    assert len(set(digests)) == len(data) == 3
+    assert all(len(digest) == 12 for digest in digests)
+    shutil.copytree(simulated_cirrus, tmp_path / "elsewhere" / "again")
+    copy = open_dataset(tmp_path / "elsewhere" / "again")
+    assert seen_in_training(copy, learnt(*digests), set(copy.keys)) == ("all 3 frames", 3)
+    assert seen_in_training(copy.turned(180), learnt(*digests), set(copy.keys)) == ("all 3 frames", 3)
+    assert seen_in_training(copy, learnt(digests[1]), set(copy.keys)) == ("1 of 3 frames", 1)
+    none = "none of the 3 frames, by the contents of their files"
+    assert seen_in_training(copy, learnt("0" * 12), set(copy.keys)) == (none, 0)
+
+
+def test_names_and_sizes_alone_accuse_nobody(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Another drive of equally named sweeps of equal size had one fingerprint, and passed for learnt from."""
+    one = open_dataset(own_folder(tmp_path / "a", ("0000", "0001"), rng))
+    other = open_dataset(own_folder(tmp_path / "b", ("0000", "0001"), rng))
+    provenance = learnt(*frame_digests(one), data_fingerprint=one.fingerprint(), frames=2)
+    assert seen_in_training(one, provenance, set(one.keys))[1] == 2
+    assert seen_in_training(other, provenance, set(other.keys))[1] == 0
+
+
+def test_renamed_copies_are_recognised(tmp_path: Path, rng: np.random.Generator) -> None:
+    one = open_dataset(own_folder(tmp_path / "a", ("0000", "0001"), rng))
+    (tmp_path / "b").mkdir()
+    shutil.copy(tmp_path / "a" / "0001.npy", tmp_path / "b" / "night.npy")
+    renamed = open_dataset(tmp_path / "b")
+    assert seen_in_training(renamed, learnt(*frame_digests(one)), set(renamed.keys)) == ("all 1 frames", 1)
+
+
+def test_what_weights_learnt_before_they_were_trained_on_counts(simulated_cirrus: Path) -> None:
+    data = open_dataset(simulated_cirrus)
+    digests, keys = frame_digests(data), set(data.keys)
+    earlier = learnt("0" * 12, start={"weights": "x", "frame_digests": " ".join(digests)})
+    assert seen_in_training(data, earlier, keys)[1] == 3
+    adapted = learnt("0" * 12, adapted={"start": "x", "start_frame_digests": " ".join(digests)})
+    assert seen_in_training(data, adapted, keys)[1] == 3
+    silent = learnt("0" * 12, start={"weights": "x", "frame_digests": None})
+    assert seen_in_training(data, silent, keys) == ("not known", 0)
+    assert seen_in_training(data, learnt("0" * 12, start={"weights": "x"}), keys) == ("not known", 0)

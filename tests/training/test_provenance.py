@@ -5,14 +5,18 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
 import farfield as ff
+from farfield.datasets.contents import frame_digests
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
 from farfield.evaluation.evaluating import training_text
+from farfield.experiments.adapting.report import held_frames
+from farfield.experiments.course import course_of
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import load_experiment
 from farfield.frame.provenance import SIMULATION_FILE
@@ -100,3 +104,75 @@ def test_a_source_that_was_not_simulated_is_refused(own: Path, tmp_path: Path) -
     shutil.copytree(own, tmp_path / "out" / "source")
     with pytest.raises(ConfigError, match="farfield simulate did not make"):
         ff.adapt("pointpillars-cirrus-sim", own, out=tmp_path / "out", steps=1, frames=1, source_frames=1)
+
+
+ONE_CLASS = "detector.anchors={vehicle: {size_m: [4.6, 1.9, 1.7], z_m: -1.1}}"
+
+
+def folder_of_sweeps(root: Path, frames: int, rng: np.random.Generator) -> Path:
+    """Own sweeps of one drive, a vehicle in each."""
+    rows = ["frame,label,x,y,z,l,w,h,yaw_rad"]
+    root.mkdir()
+    for frame in range(frames):
+        points = rng.uniform((2, -8, -2, 0), (40, 8, 1, 1), (500, 4)).astype(np.float32)
+        np.save(root / f"{frame:04}.npy", points)
+        rows.append(f"{frame:04},vehicle,20,0,-1,4.5,1.9,1.6,0.1")
+    (root / "labels.csv").write_text("\n".join(rows) + "\n")
+    return root
+
+
+def words(own: Path, *others: str) -> list[str]:
+    base = ["training.steps=2", "augmentation.pasted={}", "training.batch_size=1", "data.clouds=[lidar]"]
+    return [*base, ONE_CLASS, f"data.path={own}", *others]
+
+
+def test_frames_that_are_validated_on_are_not_trained_on(
+    experiment: Path, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """`validation.split` without `data.split` kept the best of what is trained on, and called it held out."""
+    own = folder_of_sweeps(tmp_path / "mine", 10, rng)
+    data = ff.open_dataset(own)
+    validated = data.split("time-val")
+    assert 0 < len(validated) < len(data)
+    settings = words(own, "training.validation={every_steps: 1, split: time-val}")
+    report, folder = Lines(), tmp_path / "run"
+    Plan(load_experiment(experiment, settings), folder).run(report)
+    provenance = load_weights(folder / "weights.safetensors")[1]
+    assert provenance["frames"] == len(data) - len(validated)
+    learnt = set(provenance["streams"]["labelled"]["frame_digests"].split())
+    assert learnt == set(frame_digests(data)) - set(frame_digests(validated))
+    taken = f"{len(validated)} {'frame' if len(validated) == 1 else 'frames'} of the split time-val"
+    assert any(f"{taken} w" in line for line in report.lines)
+    assert f"{taken} w" in course_of(folder).read_text()
+
+
+def test_a_split_that_is_all_that_is_trained_on_is_refused(
+    experiment: Path, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    own = folder_of_sweeps(tmp_path / "mine", 10, rng)
+    settings = words(own, "data.split=time-val", "training.validation={every_steps: 1, split: time-val}")
+    with pytest.raises(ConfigError, match=r"training\.validation: all . frames that are trained on.*data\.split"):
+        Plan(load_experiment(experiment, settings), tmp_path / "run").run()
+
+
+def test_copies_of_held_out_frames_are_not_trained_on(
+    experiment: Path, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    own = folder_of_sweeps(tmp_path / "mine", 6, rng)
+    shutil.copy(own / "0005.npy", own / "0000.npy")
+    settings = words(own, "training.validation={every_steps: 1, frames: 2}")
+    Plan(load_experiment(experiment, settings), tmp_path / "run").run()
+    provenance = load_weights(tmp_path / "run" / "weights.safetensors")[1]
+    assert provenance["held_out"] == {"frames": 2, "split": "", "taken_out": 1}
+    learnt = provenance["streams"]["labelled"]["frame_digests"].split()
+    assert learnt == list(frame_digests(ff.open_dataset(own))[1:4])
+
+
+def test_labels_of_copied_sweeps_are_not_scored_as_held(tmp_path: Path, rng: np.random.Generator) -> None:
+    """`adapt --labels` left out what is learnt from by its name in the same folder alone."""
+    own = folder_of_sweeps(tmp_path / "mine", 4, rng)
+    shutil.copytree(own, tmp_path / "copy")
+    labels, learnt = ff.open_dataset(tmp_path / "copy"), ff.open_dataset(own)
+    assert held_frames(labels, learnt.select([0, 2])).frames.keys == labels.select([1, 3]).keys
+    with pytest.raises(ConfigError, match="all 4 are learnt from"):
+        held_frames(labels, learnt)

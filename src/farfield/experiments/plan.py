@@ -9,9 +9,12 @@ from typing import Any
 
 from farfield.adaptation.failure_modes import diagnose_log
 from farfield.datasets import Dataset
+from farfield.datasets.contents import frame_digests
 from farfield.detectors import build_detector
+from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.experiments.frames import held_out, open_frames, spread
+from farfield.evaluation.leakage import digests_text
+from farfield.experiments.frames import held_out, open_frames, spread, without
 from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.experiments.validation import Validation
 from farfield.files.atomic import write_text
@@ -76,9 +79,11 @@ class Plan:
             name: self.data[name] if name in self.data else open_frames(configs[name], stream, experiment)
             for name, stream in method.streams.items()
         }
-        data, validation = self._validation(data, configs, method)
+        data, validation, taken_out = self._validation(data, configs, method)
         parts = {name: held_out(frames, method.held_out) for name, frames in data.items()}
-        data = {name: trained for name, (trained, _) in parts.items()}
+        data = {name: trained if own is None else without(trained, own) for name, (trained, own) in parts.items()}
+        if taken_out and fabric.is_global_zero:
+            report.say(f"validation: {taken_out_text(taken_out)}")
         held = {name: frames for name, (_, frames) in parts.items() if frames is not None}
         # Loop
         training = Training(
@@ -86,7 +91,7 @@ class Plan:
             {name: self._samples(method, name, data[name], configs[name]) for name in method.streams},
             experiment.training,
             self.folder,
-            {**_provenance(experiment, data, configs), **self._provenance_of_start(transfer)},
+            {**_provenance(experiment, data, configs), **self._provenance_of_start(transfer), **taken_out},
             fabric=fabric,
             held={name: self._samples(method, name, held[name], configs[name], held=True) for name in held},
             score=None if validation is None else validation.score,
@@ -95,7 +100,8 @@ class Plan:
         if fabric.is_global_zero:
             self.folder.mkdir(parents=True, exist_ok=True)
             if transfer is not None:
-                write_text(self.folder / START_NAME, json.dumps(transfer.to_json(), indent=1) + "\n")
+                start = {**transfer.to_json(), **training.provenance["start"]}
+                write_text(self.folder / START_NAME, json.dumps(start, indent=1) + "\n")
                 for line in transfer.lines():
                     report.say(line)
             write_text(self.folder / "experiment.yaml", dump_experiment(experiment))
@@ -184,23 +190,35 @@ class Plan:
 
     def _validation(
         self, data: Mapping[str, Dataset], configs: Mapping[str, DataConfig], method: Method
-    ) -> tuple[dict[str, Dataset], Validation | None]:
-        """The frames that are trained on, and those of the first labelled stream that are scored meanwhile."""
+    ) -> tuple[dict[str, Dataset], Validation | None, dict[str, Any]]:
+        """The frames that are trained on, those of the first labelled stream that are scored meanwhile, and a record.
+
+        No stream trains on a frame of theirs: all of the split are taken out, and copies of held-out frames.
+        """
         settings = self.experiment.training.validation
         if settings is None:
-            return dict(data), None
+            return dict(data), None, {}
         name = next((name for name, stream in method.streams.items() if stream.labelled), None)
         if name is None:
             raise ConfigError(f"training.validation: the method {self.experiment.method.name} has no labelled stream.")
-        config, trained = configs[name], data[name]
+        config, held = configs[name], None
         if settings.split:
             other = config.model_copy(update={"split": settings.split})
-            frames = open_frames(other, method.streams[name], self.experiment)
-            frames = frames.select(spread(len(frames), settings.frames))
+            held = open_frames(other, method.streams[name], self.experiment)
+            frames, parted = held.select(spread(len(held), settings.frames)), dict(data)
         else:
-            trained, held = held_out(trained, settings.frames)
+            trained, held = held_out(data[name], settings.frames)
             assert held is not None
-            frames = held
+            frames, parted = held, {**data, name: trained}
+        left = {stream: without(part, held) for stream, part in parted.items()}
+        for stream, part in left.items():
+            if not len(part):
+                raise ConfigError(
+                    f"training.validation: all {len(parted[stream])} frames that are trained on "
+                    f"({parted[stream].root}) are validated on too. Name another data.split, another "
+                    "training.validation.split, or fewer training.validation.frames."
+                )
+        taken_out = sum(len(part) - len(left[stream]) for stream, part in parted.items())
         validation = Validation(
             frames=frames,
             cloud=config.clouds[0] if isinstance(config.clouds, tuple) else None,
@@ -208,7 +226,8 @@ class Plan:
             precision=self.experiment.training.precision,
         )
         validation.check(self.experiment.detector.class_names)
-        return {**data, name: trained}, validation
+        record = {"frames": len(frames), "split": settings.split, "taken_out": taken_out}
+        return left, validation, {"held_out": record}
 
     def _samples(
         self, method: Method, name: str, data: Dataset, config: DataConfig, *, held: bool = False
@@ -234,17 +253,29 @@ class Plan:
     def _provenance_of_start(self, transfer: TransferReport | None) -> dict[str, Any]:
         """What the provenance says of the start: of a run that goes on, what it wrote when it began."""
         if transfer is not None:
-            return {"start": transfer.brief()}
+            before = load_weights(resolve_weights(transfer.weights))[1]
+            return {"start": {**transfer.brief(), "frame_digests": digests_text(before)}}
         path = self.folder / START_NAME
         if self.experiment.training.start is None or not path.is_file():
             return {}
         try:
             written = json.loads(path.read_text(encoding="utf-8"))
-            return {"start": {name: written[name] for name in ("weights", "sha256", "share")}}
+            start = {name: written[name] for name in ("weights", "sha256", "share")}
+            return {"start": {**start, "frame_digests": written.get("frame_digests")}}
         except (ValueError, KeyError, TypeError) as error:
             fix = "Remove the run's folder to begin anew."
             expected = "what a run took of the weights that it started from"
             raise FileFormatError(path, where="the file", expected=expected, got=plain(error), fix=fix) from error
+
+
+def taken_out_text(record: Mapping[str, Any]) -> str:
+    """What was held out of a training, from the provenance's ``held_out``."""
+    held = record["held_out"]
+    which = f"the split {held['split']}" if held["split"] else "what is held out"
+    count = held["taken_out"]
+    frames, were = ("frame", "was") if count == 1 else ("frames", "were")
+    taken = f"{count} {frames} of {which} {were} taken out of the training" if count else "none of them is trained on"
+    return f"{held['frames']} frames of {which}; {taken}"
 
 
 def logged(folder: Path) -> list[dict[str, float | int]]:
@@ -326,6 +357,7 @@ def _provenance(experiment: Experiment, data: dict[str, Dataset], configs: dict[
             "frames": len(frames),
             "clouds": configs[name].clouds,
             "recipe": frames.recipe,
+            "frame_digests": " ".join(filter(None, frame_digests(frames))),
         }
         for name, frames in data.items()
     }

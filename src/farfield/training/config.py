@@ -184,7 +184,9 @@ class ValidationConfig(_Settings):
     frames: int = Field(
         64, ge=1, description="frames to score on: held out of the training, whole sequences where there are several"
     )
-    split: str = Field("", description="take them from this split of the same data instead, and hold out none")
+    split: str = Field(
+        "", description="take them from this split of the same data instead; none of its frames is trained on"
+    )
 
 
 class TrainingConfig(_Settings):

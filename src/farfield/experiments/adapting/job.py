@@ -24,6 +24,7 @@ from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation import as_trained, detect, suitable_clouds
+from farfield.evaluation.leakage import digests_text
 from farfield.experiments.adapting.options import (
     THRESHOLDS,
     AdaptationOptions,
@@ -497,6 +498,7 @@ class AdaptationJob:
         adapted = {
             "start": self.start,
             "start_digest": self.detector.digest(),
+            "start_frame_digests": digests_text(self.detector.provenance),
             "start_trained_on": self.detector.provenance.get("experiment", {}).get("data"),
             "target_fingerprint": calibration.settings["target"],
             "source_fingerprint": calibration.settings["source"],
