@@ -143,6 +143,23 @@ def advice(extra: str) -> str:
     return " ".join([pip, *map(_quoted, packages or [f"farfield[{extra}]"])])
 
 
+def torch_note(package: str) -> str:
+    """Which torch suits a machine without a GPU: plain pip takes 4.6 GB of CUDA. Empty for other packages."""
+    if package != "torch" or has_nvidia_gpu():
+        return ""
+    return (
+        ". This machine shows no NVIDIA GPU: install torch's CPU build before it (0.7 GB), from the index that "
+        "PyTorch's own page names; else pip takes the build with CUDA (4.6 GB)"
+    )
+
+
+def has_nvidia_gpu() -> bool:
+    """Whether the driver of an NVIDIA GPU is there, as far as can be told without torch."""
+    from shutil import which
+
+    return Path("/proc/driver/nvidia/version").exists() or which("nvidia-smi") is not None
+
+
 def _quoted(words: str) -> str:
     return f'"{words}"'
 

@@ -35,11 +35,13 @@ from farfield.experiments.adapting.options import (
 )
 from farfield.experiments.adapting.report import HeldOutFrames, held_frames, held_scores, page_of
 from farfield.experiments.adapting.rounds import (
+    check_minutes,
     check_round,
     experiment_of_round,
     measured_step_s,
     pseudo_label_rates,
     rare_classes,
+    simulated_frame_s,
     steps_in,
     steps_wanted,
 )
@@ -306,8 +308,29 @@ class AdaptationJob:
         config, frames = self.target
         for cloud in config.clouds:
             self.detector.with_cloud(cloud)(frames[0])  # reads it, or says why it cannot
+        if self.choices.minutes:
+            self.check_time()
         if self.held is not None:
             as_trained(self.held.frames, self.detector.info)[0].cloud(next(iter(config.clouds)))
+
+    def check_time(self) -> None:
+        """Refuse minutes that cannot suffice, by the time of one search and one simulated frame.
+
+        An adaptation that goes on has some of its work behind it, and is not checked.
+        """
+        if any(self.folder.glob(".found-*")) or (self.folder / THRESHOLDS).is_file():
+            return
+        choices, (config, frames) = self.choices, self.target
+        detector = self.detector.with_cloud(next(iter(config.clouds)))
+        begun = time.perf_counter()
+        detector(frames[0])  # its second time: nothing is compiled or allocated now
+        sweep_s, frame_s, simulated = time.perf_counter() - begun, 0.0, 0
+        if self.labelled_source is None and not (self.folder / FOLDER).is_dir():
+            simulation = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
+            recording = planned_recording(simulation, self.folder / FOLDER)
+            frame_s, simulated = simulated_frame_s(recording), sum(recording.plan)
+        sweeps = len(frames) * (choices.rounds + 1) + choices.source_frames * (self.labelled_source is None)
+        check_minutes(choices, sweep_s, sweeps, frame_s, simulated, steps_wanted(choices, self.learnt))
 
     def dry_run(self) -> list[str]:
         """What is to be done, in lines; as many rounds and steps as are chosen, which --minutes may lower."""
