@@ -143,3 +143,14 @@ def test_a_network_in_memory_is_checked_too() -> None:
     next(network.parameters()).data[0] = float("nan")
     with pytest.raises(ConfigError, match=r"finite in fp32, got nan"):
         Detector(network, precision="fp32", device="cpu")
+
+
+def test_what_a_network_cannot_compute_is_not_nothing() -> None:
+    """Finite weights whose sums overflow, as float16's may, gave NaN for scores and so no box."""
+    network = build_detector(DETECTORS["pointpillars"].config_class(grid=GRID), seed=0).eval()
+    for parameter in network.parameters():
+        parameter.data.mul_(1e9)
+    name, source = next(iter(network.inputs.items()))
+    points = torch.rand(500, len(source.columns)) * 8
+    with pytest.raises(FarfieldError, match="not a number"):
+        network.predict({name: [points]})

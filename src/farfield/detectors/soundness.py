@@ -1,6 +1,8 @@
 """Numbers that no training leaves: what is not finite, absurdly large, or a spread below zero."""
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -54,3 +56,26 @@ def _described(tensor: Tensor | None) -> str:
     if tensor is None:
         return "no such tensor"
     return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
+
+
+def has_nan(outputs: Any) -> bool:
+    """Whether a tensor of a network's outputs holds NaN, which no threshold passes: it would detect nothing.
+
+    Args:
+        outputs: A tensor, or tensors in mappings, sequences and dataclasses; other values do not matter.
+    """
+    return any(bool(torch.isnan(tensor).any()) for tensor in _tensors(outputs))
+
+
+def _tensors(outputs: Any) -> Iterator[Tensor]:
+    """The floating-point tensors within."""
+    if isinstance(outputs, Tensor):
+        if outputs.is_floating_point():
+            yield outputs
+        return
+    if dataclasses.is_dataclass(outputs):
+        outputs = [getattr(outputs, field.name) for field in dataclasses.fields(outputs)]
+    elif isinstance(outputs, Mapping):
+        outputs = list(outputs.values())
+    for part in outputs if isinstance(outputs, list | tuple) else ():
+        yield from _tensors(part)
