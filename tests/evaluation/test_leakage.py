@@ -1,5 +1,6 @@
 """Whether the frames that are scored were learnt from, by fingerprints and splits."""
 
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -30,9 +31,15 @@ def test_frames_of_the_training_are_named(simulated_cirrus: Path) -> None:
     data = open_dataset(simulated_cirrus)
     keys = set(data.keys)
     whole = Trained(data_fingerprint=data.fingerprint(), frames=len(data))
-    assert seen_in_training(data, whole.provenance, keys) == (f"all {len(data)} frames", len(data))
+    assert seen_in_training(data, whole.provenance, keys) == (
+        f"all {len(data)} frames, by names and sizes of their files",
+        len(data),
+    )
     part = data.select([0])
-    assert seen_in_training(part, whole.provenance, {part.keys[0]}) == ("all 1 frames", 1)
+    assert seen_in_training(part, whole.provenance, {part.keys[0]}) == (
+        "all 1 frames, by names and sizes of their files",
+        1,
+    )
     some = Trained(data_fingerprint=part.fingerprint(), frames=1)
     assert seen_in_training(part, some.provenance, {part.keys[0]})[1] == 1
     other = Trained(data_fingerprint="0" * 64, frames=len(data))
@@ -47,7 +54,7 @@ def test_a_score_on_learnt_frames_says_so(simulated_cirrus: Path) -> None:
     result = found.score()
     assert any("learnt from all 3 frames" in note for note in result.notes)
     assert result.subject is not None
-    assert result.subject.seen_in_training == "all 3 frames"
+    assert result.subject.seen_in_training == "all 3 frames, by names and sizes of their files"
     assert (result.subject.detector, result.subject.data) == ("nothing", simulated_cirrus.name)
     assert result.subject.fingerprint == data.fingerprint()
     turned = detect(Trained(), data.turned(180), cloud="gaussian").score()
@@ -73,13 +80,13 @@ def test_frames_are_compared_by_their_contents(simulated_cirrus: Path, tmp_path:
     data = open_dataset(simulated_cirrus)
     digests = frame_digests(data)
     assert len(set(digests)) == len(data) == 3
-    assert all(len(digest) == 12 for digest in digests)
+    assert all(re.fullmatch(r"[0-9a-f]{12}(\+[0-9a-f]{12})*", digest) for digest in digests)
     shutil.copytree(simulated_cirrus, tmp_path / "elsewhere" / "again")
     copy = open_dataset(tmp_path / "elsewhere" / "again")
     assert seen_in_training(copy, learnt(*digests), set(copy.keys)) == ("all 3 frames", 3)
     assert seen_in_training(copy.turned(180), learnt(*digests), set(copy.keys)) == ("all 3 frames", 3)
     assert seen_in_training(copy, learnt(digests[1]), set(copy.keys)) == ("1 of 3 frames", 1)
-    none = "none of the 3 frames, by the contents of their files"
+    none = "none of the 3 frames, by the bytes of their files"
     assert seen_in_training(copy, learnt("0" * 12), set(copy.keys)) == (none, 0)
 
 
@@ -110,3 +117,37 @@ def test_what_weights_learnt_before_they_were_trained_on_counts(simulated_cirrus
     silent = learnt("0" * 12, start={"weights": "x", "frame_digests": None})
     assert seen_in_training(data, silent, keys) == ("not known", 0)
     assert seen_in_training(data, learnt("0" * 12, start={"weights": "x"}), keys) == ("not known", 0)
+
+
+def test_a_part_of_a_frames_files_is_recognised(simulated_cirrus: Path, tmp_path: Path) -> None:
+    """A copy that lacks the largest cloud passed for other frames."""
+    digests = frame_digests(open_dataset(simulated_cirrus))
+    shutil.copytree(simulated_cirrus, tmp_path / "again")
+    whole = open_dataset(tmp_path / "again")
+    clouds = sorted((path for path in whole.files(0) if path.suffix not in (".json", ".txt", ".jpg")), key=size_of)
+    assert len(clouds) > 1
+    for index in range(len(whole)):
+        for path in whole.files(index):
+            if path.parent == clouds[-1].parent:
+                path.unlink()
+    assert seen_in_training(open_dataset(tmp_path / "again"), learnt(*digests), set(whole.keys))[1] == 3
+
+
+def size_of(path: Path) -> int:
+    return path.stat().st_size
+
+
+def test_what_holds_next_to_nothing_is_no_frames_alone(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Empty clouds, and those of zeros, are equal without being the same."""
+    for name in ("a", "b"):
+        own_folder(tmp_path / name, ("0000",), rng)
+        np.save(tmp_path / name / "0001.npy", np.zeros((0, 4), np.float32))
+        np.save(tmp_path / name / "0002.npy", np.zeros((4000, 4), np.float32))
+    one, other = open_dataset(tmp_path / "a"), open_dataset(tmp_path / "b")
+    assert frame_digests(one)[1:] == ("?", "?")
+    assert seen_in_training(other, learnt(*frame_digests(one)), set(other.keys)) == ("not known", 0)
+    full = other.select([0])
+    assert seen_in_training(full, learnt(*frame_digests(one)), set(full.keys)) == ("not known", 0), "two say nothing"
+    certain = learnt(frame_digests(one)[0])
+    assert seen_in_training(full, certain, set(full.keys))[0].startswith("none of the 1 frames")
+    assert seen_in_training(other, certain, set(other.keys)) == ("not known", 0)

@@ -1,62 +1,95 @@
-"""A digest of what each frame measured: equal frames are recognised in another folder and under other names."""
+"""Digests of what each frame measured: equal frames are recognised in another folder and under other names."""
 
 import hashlib
+import zlib
 from collections import Counter
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 from farfield.datasets.base import Dataset
 
+NONE = "?"
+"""Stands for a frame that no file tells from others."""
+_SHARED = "~"
+"""Before the digest of a file that other frames are read from too, and the frame's name in it."""
 _DIGITS = 12
-_FEWEST_BYTES = 64  # an empty cloud is not one certain frame
-_BLOCK_BYTES, _BLOCKS = 1 << 15, 8  # of a large file: these, spread over it evenly, and its size
-_TEXTS = (".txt", ".json", ".csv", ".yaml", ".yml", ".xml")
+_BLOCK_BYTES, _BLOCKS = 1 << 14, 4  # of a large file: these, spread over it evenly, and its size
+_STRIDE, _FEWEST_BYTES = 8, 64  # every eighth byte, compressed: of a header alone, or of zeros, fewer are left
+_TEXTS = (".txt", ".json", ".csv", ".yaml", ".yml", ".xml", ".calib", ".cfg", ".ini", ".toml")
 _PICTURES = (".png", ".jpg", ".jpeg")
+
+_DIGESTS_OF: "WeakKeyDictionary[Dataset, dict[int, str]]" = WeakKeyDictionary()
+"""Of each reader, by the index of its frame: a training asks several times."""
 
 
 def frame_digests(data: Dataset) -> tuple[str, ...]:
-    """A digest of each frame's contents, 12 hexadecimal digits; empty where no file tells a frame from others.
+    """Digests of each frame's contents: those of its clouds and tensors, joined by ``+``, 12 hexadecimal digits each.
 
-    It is that of one file: the largest that only this frame is read from, a cloud or tensor before a picture, and a
-    picture before a text. Neither labels nor names nor maps matter. Of files of more than 256 KiB eight blocks of
-    32 KiB are read. Frames that share all files, as those of a bag do, have that of the largest and their own names.
+    They are of the files that only this frame is read from: of pictures where it has no such cloud, and of texts where
+    it has no picture either. Neither names nor maps matter. Of files of more than 64 KiB four blocks of 16 KiB are
+    read. Frames that share their clouds' file, as those of a bag do, have its digest with their own names, after ``~``;
+    a frame whose files hold next to nothing has ``?``.
 
     Args:
-        data: Frames; none of those in memory has a digest.
+        data: Frames; those in memory have ``?``.
     """
     if not data.stored:
-        return ("",) * len(data)
+        return (NONE,) * len(data)
     reader = data.unwrapped
-    frames = Counter(path for index in range(len(reader)) for path in dict.fromkeys(reader.files(index)))
-    return tuple(_digest(reader.files(origin), frames, reader.frame_ids[origin]) for origin in data.origins)
+    digests = _DIGESTS_OF.setdefault(reader, {})
+    lacking = [origin for origin in dict.fromkeys(data.origins) if origin not in digests]
+    if lacking:
+        frames = Counter(path for index in range(len(reader)) for path in dict.fromkeys(reader.files(index)))
+        digests |= {origin: _digest(reader.files(origin), frames, reader.frame_ids[origin]) for origin in lacking}
+    return tuple(digests[origin] for origin in data.origins)
+
+
+def common_frames(data: Dataset, digests: str) -> tuple[list[bool], bool]:
+    """Which frames are among others, by the contents of their files.
+
+    Args:
+        data: The frames.
+        digests: Those of :func:`frame_digests` of the others, with blanks between the frames.
+
+    Returns:
+        For each frame whether one of its files is one of theirs; and whether those without are certainly none of them.
+    """
+    others = {digest for frame in digests.split() for digest in frame.split("+")}
+    own = [frame.split("+") for frame in frame_digests(data)]
+    certain = not any(digest.startswith((NONE, _SHARED)) for digest in others.union(*own))
+    return [any(digest in others and digest != NONE for digest in frame) for frame in own], certain
 
 
 def _digest(files: Sequence[Path], frames: Counter[Path], frame_id: str) -> str:
-    present = [path for path in files if path.is_file()]
-    own = [path for path in present if frames[path] == 1]
-    best = max(own or present, key=_rank, default=None)
-    if best is None or best.stat().st_size < _FEWEST_BYTES:
-        return ""
-    contents = _contents(best, best.stat().st_size, best.stat().st_mtime_ns)
-    return contents if own else hashlib.sha256(f"{contents}\0{frame_id}".encode()).hexdigest()[:_DIGITS]
+    present = [path for path in dict.fromkeys(files) if path.is_file()]
+    kind = max(map(_kind, present), default=0)
+    measured = [path for path in present if _kind(path) == kind]
+    if own := [path for path in measured if frames[path] == 1]:
+        return "+".join(sorted({digest for path in own if (digest := _contents(path))})) or NONE
+    shared = [digest for path in measured if (digest := _contents(path))]
+    text = "\0".join([*sorted(shared), frame_id])
+    return f"{_SHARED}{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}" if shared else NONE
 
 
-def _rank(path: Path) -> tuple[int, int, str]:
+def _kind(path: Path) -> int:
+    """2 for a cloud or tensor, 1 for a picture, 0 for a text."""
     suffix = path.suffix.lower()
-    return (0 if suffix in _TEXTS else 1 if suffix in _PICTURES else 2), path.stat().st_size, path.name
+    return 0 if suffix in _TEXTS else 1 if suffix in _PICTURES else 2
 
 
-@lru_cache(maxsize=1 << 16)
-def _contents(path: Path, size: int, changed_ns: int) -> str:
-    """Digest of a file; a changed one is read anew."""
-    del changed_ns
-    digest = hashlib.sha256(str(size).encode())
+def _contents(path: Path) -> str:
+    """Digest of a file; empty where it holds too little to be one frame's alone."""
+    size = path.stat().st_size
     with path.open("rb") as file:
         if size <= _BLOCKS * _BLOCK_BYTES:
-            digest.update(file.read())
+            data = file.read()
         else:
+            data = b""
             for number in range(_BLOCKS):
                 file.seek(number * (size - _BLOCK_BYTES) // (_BLOCKS - 1))
-                digest.update(file.read(_BLOCK_BYTES))
-    return digest.hexdigest()[:_DIGITS]
+                data += file.read(_BLOCK_BYTES)
+    sample = data[::_STRIDE]
+    if len(zlib.compress(sample, 1)) < _FEWEST_BYTES + len(sample) // _STRIDE**2:
+        return ""
+    return hashlib.sha256(b"%d\0" % size + data).hexdigest()[:_DIGITS]

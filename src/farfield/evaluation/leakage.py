@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.contents import frame_digests
+from farfield.datasets.contents import NONE, common_frames
 from farfield.datasets.recipes import recipe_of_provenance, replay
 from farfield.errors import FarfieldError
 from farfield.frame import Key
@@ -27,15 +27,13 @@ def seen_in_training(data: Dataset, provenance: Mapping[str, Any], keys: set[Key
     """
     if not data.stored:
         return UNKNOWN, 0
-    digests, complete = learnt_digests(provenance)
+    digests, complete = _learnt_digests(provenance)
     if digests:
-        own = [digest for key, digest in zip(data.keys, frame_digests(data), strict=True) if key in keys]
-        common = sum(digest in digests for digest in own)
-        if common:
-            return _words(common, len(keys)), common
-        return (
-            f"none of the {len(keys)} frames, by the contents of their files" if complete and all(own) else UNKNOWN
-        ), 0
+        rows = [index for index, key in enumerate(data.keys) if key in keys]
+        learnt_rows, certain = common_frames(data.select(rows), digests)
+        if common := sum(learnt_rows):
+            return _words(common, len(rows)), common
+        return (f"none of the {len(rows)} frames, by the bytes of their files" if complete and certain else UNKNOWN), 0
     trained = _fingerprints(provenance)
     if not trained:
         return UNKNOWN, 0
@@ -47,34 +45,35 @@ def seen_in_training(data: Dataset, provenance: Mapping[str, Any], keys: set[Key
     if learnt is None:
         return UNKNOWN, 0
     common = len(learnt & keys)
-    return (_words(common, len(keys)) if common else f"none of the {len(keys)} frames"), common
+    words = _words(common, len(keys)) if common else f"none of the {len(keys)} frames"
+    return f"{words}, by names and sizes of their files", common
 
 
 def _words(common: int, frames: int) -> str:
     return f"all {frames} frames" if common == frames else f"{common} of {frames} frames"
 
 
-def learnt_digests(provenance: Mapping[str, Any]) -> tuple[set[str], bool]:
-    """Digests of the frames that a detector learnt from, and whether these are all that it learnt from.
+def digests_text(provenance: Mapping[str, Any]) -> str | None:
+    """What a detector learnt from, as other weights' provenance holds it; None where it is not all known.
 
     Args:
-        provenance: The detector's: digests of its streams, and of what the weights that it started from learnt from.
+        provenance: The detector's.
+    """
+    digests, complete = _learnt_digests(provenance)
+    return digests if complete else None
 
-    Returns:
-        The digests of :func:`farfield.datasets.contents.frame_digests`; False where a part says nothing.
+
+def _learnt_digests(provenance: Mapping[str, Any]) -> tuple[str, bool]:
+    """Digests of the frames that a detector learnt from, and whether these are all that it learnt from.
+
+    They are those of its streams, and of what the weights that it started from learnt from.
     """
     start, adapted = provenance.get("start"), provenance.get("adapted")
     texts = [stream.get("frame_digests") for stream in (provenance.get("streams") or {}).values()]
     texts += [] if start is None else [start.get("frame_digests")]
     texts += [] if adapted is None else [adapted.get("start_frame_digests")]
-    digests = {digest for text in texts if text for digest in text.split()}
-    return digests, bool(texts) and None not in texts
-
-
-def digests_text(provenance: Mapping[str, Any]) -> str | None:
-    """What a detector learnt from as other weights' provenance holds it; None where it is not all known."""
-    digests, complete = learnt_digests(provenance)
-    return " ".join(sorted(digests)) if complete else None
+    frames = {frame for text in texts if text for frame in text.split()}
+    return " ".join(sorted(frames - {NONE})), bool(texts) and None not in texts and NONE not in frames
 
 
 def _fingerprints(provenance: Mapping[str, Any]) -> set[tuple[str, int]]:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 
 from farfield.datasets import Dataset, open_dataset
-from farfield.datasets.contents import frame_digests
+from farfield.datasets.contents import common_frames, frame_digests
 from farfield.datasets.maps import Sweeps
 from farfield.errors import DatasetError
 from farfield.experiments.schema import DataConfig, Experiment
@@ -116,9 +116,8 @@ def without(data: Dataset, held: Dataset) -> Dataset:
         held: Those to leave out; what is not among ``data`` does not matter.
     """
     names = set(held.keys) if data.root.resolve() == held.root.resolve() else set()
-    digests = set(frame_digests(held)) - {""}
-    rows = enumerate(zip(data.keys, frame_digests(data), strict=True))
-    left = [index for index, (key, digest) in rows if key not in names and digest not in digests]
+    copies, _ = common_frames(data, " ".join(frame_digests(held)))
+    left = [index for index, key in enumerate(data.keys) if key not in names and not copies[index]]
     return data if len(left) == len(data) else data.select(left)
 
 
