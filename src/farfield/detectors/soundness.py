@@ -47,7 +47,7 @@ def unlike(tensors: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> tup
     """
     for name in (*expected, *tensors):
         there, here = tensors.get(name), expected.get(name)
-        if there is None or here is None or there.shape != here.shape or there.dtype != here.dtype:
+        if there is None or here is None or there.shape != here.shape or there.dtype != here.dtype or _odd(there):
             return name, _described(here), _described(there)
     return None
 
@@ -55,7 +55,13 @@ def unlike(tensors: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> tup
 def _described(tensor: Tensor | None) -> str:
     if tensor is None:
         return "no such tensor"
-    return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
+    kind = f"{tensor.layout}, without numbers, of " if _odd(tensor) else ""
+    return f"{kind}{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
+
+
+def _odd(tensor: Tensor) -> bool:
+    """Whether a tensor is sparse, or has a shape and no numbers."""
+    return tensor.layout != torch.strided or tensor.is_meta
 
 
 def has_nan(outputs: Any) -> bool:

@@ -1,5 +1,6 @@
 """Errors of Python, json, yaml and pydantic in plain words."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -144,8 +145,8 @@ def advice(extra: str) -> str:
 
 
 def torch_note(package: str) -> str:
-    """Which torch suits a machine without a GPU: plain pip takes 4.6 GB of CUDA. Empty for other packages."""
-    if package != "torch" or has_nvidia_gpu():
+    """Which torch suits a Linux machine without a GPU: plain pip takes 4.6 GB of CUDA there. Empty for others."""
+    if package != "torch" or not sys.platform.startswith("linux") or has_nvidia_gpu():
         return ""
     return (
         ". This machine shows no NVIDIA GPU: install torch's CPU build before it (0.7 GB), from the index that "

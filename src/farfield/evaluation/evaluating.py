@@ -192,9 +192,9 @@ def frame_view(frame: Frame, predictions: Mapping[str, Mapping[Key, Boxes]], *, 
 def training_text(provenance: Mapping[str, Any]) -> str:
     """One phrase on what a detector learnt from, each stream by its own data; empty where nothing is known."""
     experiment = provenance.get("experiment")
-    if not experiment:
+    if not experiment or not experiment.get("data") or not experiment.get("training"):
         return ""
-    data = experiment["data"]
+    data, training = experiment["data"], experiment["training"]
     groups, streams = {"": data} if "path" in data else data, provenance.get("streams") or {}
     frames = {name: streams[name]["frames"] if name in streams else provenance.get("frames") for name in groups}
     sources = [f"{frames[name]} {_source_text(group)}" for name, group in groups.items()]
@@ -203,9 +203,9 @@ def training_text(provenance: Mapping[str, Any]) -> str:
     return (
         f"{', and '.join(sources)}, "
         + (f"by the method {method}, " if method != "supervised" else "")
-        + (f"from the weights {start['weights']}, " if start else "")
-        + f"{experiment['training']['steps']} steps of {experiment['training']['batch_size']}, "
-        f"training seed {experiment['training']['seed']}, commit {commit}"
+        + (f"from the weights {start.get('weights') or 'not named'}, " if start else "")
+        + f"{training.get('steps')} steps of {training.get('batch_size')}, training seed {training.get('seed')}, "
+        f"commit {commit}"
     )
 
 

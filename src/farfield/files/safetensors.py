@@ -33,6 +33,25 @@ def with_digest(data: bytes) -> bytes:
     return data.replace(_entry(_ZEROS), _entry(hashlib.sha256(data).hexdigest()), 1)
 
 
+def metadata_of(path: Path, data: bytes) -> dict[str, str]:
+    """The texts of a file's header; empty where it has none.
+
+    Args:
+        path: Where it is from, for messages.
+        data: All of it, or its header.
+
+    Raises:
+        FileFormatError: If there is no header, or its metadata are not texts.
+    """
+    try:
+        metadata = _header(data)[1].get("__metadata__") or {}
+        if not all(isinstance(text, str) for text in metadata.values()):
+            raise TypeError("metadata that are no texts")
+    except (ValueError, TypeError, RecursionError, AttributeError) as error:
+        raise FileFormatError(path, where="header", expected="safetensors", got=plain(error)[:200]) from error
+    return dict(metadata)
+
+
 def check_digest(path: Path, data: bytes) -> None:
     """See that a file is what was written, as far as it carries a digest: those of earlier versions do not.
 
@@ -43,15 +62,13 @@ def check_digest(path: Path, data: bytes) -> None:
     Raises:
         FileFormatError: If a bit changed since.
     """
-    try:
-        metadata = _header(data)[1].get("__metadata__") or {}
-    except (ValueError, RecursionError, AttributeError) as error:
-        raise FileFormatError(path, where="header", expected="safetensors", got=plain(error)[:200]) from error
-    stated = metadata.get(KEY)
+    stated = metadata_of(path, data).get(KEY)
     if stated is None:
         return
-    actual = hashlib.sha256(data.replace(_entry(stated), _entry(_ZEROS), 1)).hexdigest()
-    if actual != stated:
+    end = 8 + int.from_bytes(data[:8], "little")
+    digest = hashlib.sha256(data[:end].replace(_entry(stated), _entry(_ZEROS), 1))
+    digest.update(memoryview(data)[end:])
+    if (actual := digest.hexdigest()) != stated:
         raise FileFormatError(
             path,
             where="digest",
