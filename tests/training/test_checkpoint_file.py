@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 from farfield.errors import FileFormatError
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import Experiment, load_experiment
-from farfield.training.checkpoints import BestScore, load_checkpoint, save_checkpoint
+from farfield.training.checkpoints import BestScore, begin_log, load_checkpoint, resume_optimizer, save_checkpoint
 
 
 def begun(experiment: Path, folder: Path) -> tuple[Experiment, Path]:
@@ -90,8 +90,24 @@ def damage(state: dict[str, Any], kind: str) -> None:
             groups.pop()
         case "a group's parameters":
             groups[0]["params"] = groups[0]["params"][1:]
-        case "a group's rate":
-            groups[0]["lr"] = float("nan")
+        case "a sparse moment":
+            moments[number]["exp_avg"] = torch.zeros_like(moments[number]["exp_avg"]).to_sparse()
+        case "a moment without numbers":
+            moments[number]["exp_avg"] = torch.zeros_like(moments[number]["exp_avg"], device="meta")
+        case "a module without numbers":
+            state[module] = torch.zeros_like(state[module], device="meta")
+        case "a sparse module":
+            state[module] = state[module].to_sparse()
+        case "provenance of another kind":
+            state["provenance"] = "[1]"
+        case "provenance nested":
+            state["provenance"] = "[" * 100_000
+        case "streams of another kind":
+            state["provenance"] = json.dumps({**json.loads(state["provenance"]), "streams": [1]})
+        case "steps of another kind":
+            provenance = json.loads(state["provenance"])
+            provenance["experiment"]["training"]["steps"] = "many"
+            state["provenance"] = json.dumps(provenance)
         case "an optimiser's step":
             moments[number]["step"] = torch.zeros(3)
         case "no optimiser":
@@ -119,7 +135,14 @@ KINDS = (
     "a moment's list",
     "a group's lack",
     "a group's parameters",
-    "a group's rate",
+    "a sparse moment",
+    "a moment without numbers",
+    "a module without numbers",
+    "a sparse module",
+    "provenance of another kind",
+    "provenance nested",
+    "streams of another kind",
+    "steps of another kind",
     "an optimiser's step",
     "no optimiser",
     "a list for an optimiser",
@@ -149,7 +172,36 @@ def test_states_that_no_run_leaves_are_refused(experiment: Path, tmp_path: Path)
     Plan(settings, tmp_path / "run").run()
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"step": 1, "validation": NaN}', '{"step": 1, "validation": 7}', "[]"])
+def test_large_moments_go_on_and_an_optimisers_settings_are_the_experiments(tmp_path: Path) -> None:
+    """Where gradients are hardly clipped their squares pass any limit of weights."""
+    parameter = torch.nn.Parameter(torch.ones(3))
+    optimizer = torch.optim.AdamW([parameter], lr=0.1, weight_decay=0.5)
+    moments = {"step": torch.ones(()), "exp_avg": torch.full((3,), -1e8), "exp_avg_sq": torch.full((3,), 1e16)}
+    group = {"params": [0], "lr": float("nan"), "weight_decay": -9.0, "betas": "strange"}
+    resume_optimizer(tmp_path, {"state": {0: moments}, "param_groups": [group]}, optimizer)
+    assert optimizer.param_groups[0]["weight_decay"] == 0.5
+    assert optimizer.param_groups[0]["lr"] == 0.1
+    assert torch.equal(optimizer.state[parameter]["exp_avg_sq"], moments["exp_avg_sq"])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "[" * 100_000,
+        '{"step": 1, "validation": NaN}',
+        '{"step": 1, "validation": 7}',
+        '{"step": Infinity, "validation": 0.5}',
+        '{"step": 1.5, "validation": 0.5}',
+        '{"step": "1", "validation": 0.5}',
+        '{"step": true, "validation": 0.5}',
+        '{"step": -1, "validation": 0.5}',
+        '{"step": 1, "validation": 0.5, "sha256": "0"}',
+        '{"step": 1, "validation": 0.5, "sha257": "0"}',
+    ],
+)
 def test_a_damaged_best_score_is_refused(tmp_path: Path, text: str) -> None:
     """It was taken for none: the next score, however low, then took the place of the best weights."""
     assert BestScore.read(tmp_path) is None
@@ -157,16 +209,59 @@ def test_a_damaged_best_score_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(FileFormatError, match=r"best\.json"):
         BestScore.read(tmp_path)
     (tmp_path / "best.json").write_text(json.dumps({"step": 1, "validation": 0.5}))
-    assert BestScore.read(tmp_path) == BestScore(1, 0.5)
+    assert BestScore.read(tmp_path) == BestScore(1, 0.5), "as earlier versions wrote it"
+
+
+def test_a_flipped_bit_of_the_best_score_is_refused(tmp_path: Path) -> None:
+    """A 0.5 that became 0.9 kept every later score from being the best."""
+    BestScore(137, 0.5217).write(tmp_path)
+    assert BestScore.read(tmp_path) == BestScore(137, 0.5217)
+    path = tmp_path / "best.json"
+    data, accepted = path.read_bytes(), []
+    for bit in range(8 * (len(data) - 1)):
+        damaged = bytearray(data)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        try:
+            BestScore.read(tmp_path)
+        except FileFormatError:
+            continue
+        accepted.append(bytes(damaged))
+    assert not accepted
+
+
+DAMAGED_LINES = (
+    "",
+    "[]",
+    "7",
+    '{"step": 3, "lo',
+    '{"step": Infinity}',
+    '{"step": NaN}',
+    '{"step": 3.5}',
+    '{"step": "3"}',
+    '{"step": -3}',
+    '{"loss": 1.0}',
+    '{"step": 3, "loss": "low"}',
+    '{"step": 3, "loss": null}',
+    '{"step": 3, "loss": [1]}',
+    '{"step": 3, "loss": 1' + "0" * 400 + "}",
+    '{"step": 3, "loss": ' + "[" * 100_000,
+)
 
 
 def test_damaged_files_beside_a_checkpoint_are_named(experiment: Path, tmp_path: Path) -> None:
     _, path = begun(experiment, tmp_path / "run")
     log = path.with_name("log.jsonl")
+    lines = log.read_text()
     assert [row["step"] for row in logged(path.parent)] == [1, 2]
-    log.write_text(log.read_text() + '{"step": 3, "lo\n')
-    with pytest.raises(FileFormatError, match=r"log\.jsonl, line 3"):
-        logged(path.parent)
+    for line in DAMAGED_LINES:
+        log.write_text(lines + line + "\n")
+        with pytest.raises(FileFormatError, match=r"log\.jsonl, line 3"):
+            logged(path.parent)
+    log.write_text(lines + '{"step": 3, "lo')
+    assert [row["step"] for row in logged(path.parent)] == [1, 2], "a process that was killed left a line without end"
+    begin_log(log, anew=False)
+    assert log.read_text() == lines
     settings = load_experiment(experiment, ["training.steps=3", "training.start_from=pointpillars-cirrus-sim"])
     (path.parent / "start.json").write_text("{}")
     with pytest.raises(FileFormatError, match=r"start\.json"):

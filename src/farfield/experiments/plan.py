@@ -281,20 +281,25 @@ def taken_out_text(record: Mapping[str, Any]) -> str:
 def logged(folder: Path) -> list[dict[str, float | int]]:
     """The rows of a run's log by step; of steps that a resumed run took again, the last ones.
 
+    A last line without its end is that of a process that was killed while it wrote, and is passed over.
+
     Raises:
         FileFormatError: If a line is damaged.
     """
     path = folder / LOG_NAME
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else []
+    *lines, _ = path.read_bytes().split(b"\n") if path.is_file() else [b""]
     rows = {}
     for number, line in enumerate(lines, 1):
         try:
-            row = json.loads(line)
-            rows[int(row["step"])] = row
-        except (ValueError, KeyError, TypeError) as error:
+            row = json.loads(line.decode("utf-8"))
+            figures = [float(value) for value in row.values() if type(value) in (int, float)]
+            if len(figures) < len(row) or type(row["step"]) is not int or row["step"] < 0:
+                raise TypeError("a value that is no number, or a step that is no whole one")
+            rows[row["step"]] = row
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             where, expected = f"line {number}", "the losses of a step as JSON"
             fix = "Remove the line: the run and its page do without."
-            raise FileFormatError(path, where=where, expected=expected, got=plain(error), fix=fix) from error
+            raise FileFormatError(path, where=where, expected=expected, got=plain(error)[:200], fix=fix) from error
     return [rows[step] for step in sorted(rows)]
 
 
@@ -357,7 +362,7 @@ def _provenance(experiment: Experiment, data: dict[str, Dataset], configs: dict[
             "frames": len(frames),
             "clouds": configs[name].clouds,
             "recipe": frames.recipe,
-            "frame_digests": " ".join(filter(None, frame_digests(frames))),
+            "frame_digests": " ".join(frame_digests(frames)),
         }
         for name, frames in data.items()
     }
