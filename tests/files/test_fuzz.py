@@ -12,6 +12,15 @@ import numpy as np
 import pytest
 
 SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz_readers.py"
+WEIGHTS = (
+    "weights",
+    "older weights",
+    "weights' record",
+    "checkpoint",
+    "older checkpoint",
+    "best score",
+    "training log",
+)
 READERS = (
     *("xyz", "pcd", "velodyne bin", "ffcloud", "images", "upright images", "depth png"),
     *("kitti calib", "kitti label", "kitti tracking"),
@@ -24,6 +33,7 @@ READERS = (
     *("radiate times", "radiate tracks", "stamps", "clock logs"),
     *(("films",) if importlib.util.find_spec("av") else ()),
     *(("bag.mcap", "bag.db3") if importlib.util.find_spec("rosbags") else ()),
+    *(WEIGHTS if importlib.util.find_spec("torch") else ()),
 )
 
 
