@@ -2,6 +2,7 @@
 
 import io
 import json
+import warnings
 from collections.abc import Mapping
 from functools import lru_cache
 from importlib.util import find_spec
@@ -93,7 +94,8 @@ def _checkpoint(folder: Path) -> tuple[bytes, bytes]:
 def read_weights(path: Path) -> Any:
     from farfield.detectors.weights import load_weights
 
-    return load_weights(path)
+    with warnings.catch_warnings(action="ignore"):  # of earlier versions, which carry no digest
+        return load_weights(path)
 
 
 def read_record(path: Path) -> str:

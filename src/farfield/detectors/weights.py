@@ -1,10 +1,11 @@
 """Trained weights as safetensors files: tensors, and beside them everything needed to rebuild and to trust them.
 
-A file carries the SHA-256 of all its bytes (:mod:`farfield.files.safetensors`). Files of earlier versions carry none;
-what they hold is checked as far as numbers and shapes tell.
+A file carries the SHA-256 of all its bytes (:mod:`farfield.files.safetensors`). Files of earlier versions carry none:
+what they hold is checked as far as numbers and shapes tell, and a warning says so.
 """
 
 import json
+import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -114,6 +115,12 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         raise FileFormatError(
             path, where="configuration and tensors", expected="those of one detector", got=plain(error)[:300]
         ) from error
+    if KEY not in metadata:
+        warnings.warn(
+            f"{path}: these weights are of an earlier version and carry no digest: their numbers are possible, and "
+            "whether a bit of them changed cannot be told. Train, adapt or import them anew for one.",
+            stacklevel=2,
+        )
     return network.eval(), provenance
 
 
