@@ -80,14 +80,14 @@ def test_frames_are_compared_by_their_contents(simulated_cirrus: Path, tmp_path:
     data = open_dataset(simulated_cirrus)
     digests = frame_digests(data)
     assert len(set(digests)) == len(data) == 3
-    assert all(re.fullmatch(r"[0-9a-f]{12}(\+[0-9a-f]{12})*", digest) for digest in digests)
+    assert all(re.fullmatch(r"xyz:[0-9a-f]{12}(\+xyz:[0-9a-f]{12})*", digest) for digest in digests)
     shutil.copytree(simulated_cirrus, tmp_path / "elsewhere" / "again")
     copy = open_dataset(tmp_path / "elsewhere" / "again")
     assert seen_in_training(copy, learnt(*digests), set(copy.keys)) == ("all 3 frames", 3)
     assert seen_in_training(copy.turned(180), learnt(*digests), set(copy.keys)) == ("all 3 frames", 3)
     assert seen_in_training(copy, learnt(digests[1]), set(copy.keys)) == ("1 of 3 frames", 1)
     none = "none of the 3 frames, by the bytes of their files"
-    assert seen_in_training(copy, learnt("0" * 12), set(copy.keys)) == (none, 0)
+    assert seen_in_training(copy, learnt("xyz:0123456789ab"), set(copy.keys)) == (none, 0)
 
 
 def test_names_and_sizes_alone_accuse_nobody(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -110,13 +110,13 @@ def test_renamed_copies_are_recognised(tmp_path: Path, rng: np.random.Generator)
 def test_what_weights_learnt_before_they_were_trained_on_counts(simulated_cirrus: Path) -> None:
     data = open_dataset(simulated_cirrus)
     digests, keys = frame_digests(data), set(data.keys)
-    earlier = learnt("0" * 12, start={"weights": "x", "frame_digests": " ".join(digests)})
+    earlier = learnt("xyz:0123456789ab", start={"weights": "x", "frame_digests": " ".join(digests)})
     assert seen_in_training(data, earlier, keys)[1] == 3
-    adapted = learnt("0" * 12, adapted={"start": "x", "start_frame_digests": " ".join(digests)})
+    adapted = learnt("xyz:0123456789ab", adapted={"start": "x", "start_frame_digests": " ".join(digests)})
     assert seen_in_training(data, adapted, keys)[1] == 3
-    silent = learnt("0" * 12, start={"weights": "x", "frame_digests": None})
+    silent = learnt("xyz:0123456789ab", start={"weights": "x", "frame_digests": None})
     assert seen_in_training(data, silent, keys) == ("not known", 0)
-    assert seen_in_training(data, learnt("0" * 12, start={"weights": "x"}), keys) == ("not known", 0)
+    assert seen_in_training(data, learnt("xyz:0123456789ab", start={"weights": "x"}), keys) == ("not known", 0)
 
 
 def test_a_part_of_a_frames_files_is_recognised(simulated_cirrus: Path, tmp_path: Path) -> None:
@@ -151,3 +151,17 @@ def test_what_holds_next_to_nothing_is_no_frames_alone(tmp_path: Path, rng: np.r
     certain = learnt(frame_digests(one)[0])
     assert seen_in_training(full, certain, set(full.keys))[0].startswith("none of the 1 frames")
     assert seen_in_training(other, certain, set(other.keys)) == ("not known", 0)
+
+
+def test_copies_in_another_format_are_not_known(tmp_path: Path, rng: np.random.Generator) -> None:
+    own_folder(tmp_path / "a", ("0000", "0001"), rng)
+    one, provenance = open_dataset(tmp_path / "a"), learnt(*frame_digests(open_dataset(tmp_path / "a")))
+    for name in ("bin", "npy"):
+        (tmp_path / name).mkdir()
+    for path in one.files(0)[0].parent.glob("*.npy"):
+        np.load(path).tofile(tmp_path / "bin" / f"{path.stem}.bin")
+        np.save(tmp_path / "npy" / path.name, np.load(path).astype(np.float64))
+    converted, written_anew = open_dataset(tmp_path / "bin"), open_dataset(tmp_path / "npy")
+    assert seen_in_training(converted, provenance, set(converted.keys)) == ("not known", 0)
+    words = "none of the 2 frames, by the bytes of their files"
+    assert seen_in_training(written_anew, provenance, set(written_anew.keys)) == (words, 0)

@@ -17,9 +17,10 @@ from farfield.errors import ConfigError
 from farfield.evaluation.evaluating import training_text
 from farfield.experiments.adapting.report import held_frames
 from farfield.experiments.course import course_of
-from farfield.experiments.plan import Plan
-from farfield.experiments.schema import load_experiment
+from farfield.experiments.plan import Plan, with_real_data_named
+from farfield.experiments.schema import DataConfig, load_experiment
 from farfield.frame.provenance import SIMULATION_FILE
+from farfield.simulation.recording import record
 from farfield.training.report import TrainingReport
 
 SIMULATED = "data.simulate={preset: cirrus-sim-varied, sequences: 30, frames: 20, seed: 1}"
@@ -75,6 +76,26 @@ def test_a_run_that_was_begun_before_goes_on(experiment: Path, own: Path, tmp_pa
     save_checkpoint(path, {**state, "provenance": json.dumps(provenance)})
     Plan(load_experiment(experiment, [*words, "training.steps=2"]), tmp_path / "run").run()
     assert load_checkpoint(path)["step"] == 2
+
+
+def test_frames_beside_simulated_ones_are_not_called_simulated(experiment: Path, tmp_path: Path) -> None:
+    """A drive that was copied into the folder passed for one that was simulated."""
+    mixed = tmp_path / "mixed"
+    record("cirrus-sim-mini", mixed, frames=2, sequences=1, seed=3)
+    simulate = "data.simulate={preset: cirrus-sim-mini, sequences: 1, frames: 2, seed: 3}"
+    settings = load_experiment(experiment, [f"data.path={mixed}", simulate])
+    assert with_real_data_named(settings, {"labelled": ff.open_dataset(mixed)}) == (settings, [])
+    for path in [path for path in mixed.rglob("dataset1_*/*") if path.is_file()]:
+        name = path.relative_to(mixed).as_posix().replace("ataset1", "ataset2")
+        if not name.endswith(".ffcloud"):
+            (mixed / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, mixed / name)
+    opened = ff.open_dataset(mixed)
+    assert len(opened) == 4
+    changed, (note,) = with_real_data_named(settings, {"labelled": opened})
+    assert isinstance(changed.data, DataConfig)
+    assert changed.data.simulate is None
+    assert "did not make 2 of the 4 frames" in note
 
 
 def described(**data: Any) -> dict[str, Any]:

@@ -15,7 +15,7 @@ _SHARED = "~"
 """Before the digest of a file that other frames are read from too, and the frame's name in it."""
 _DIGITS = 12
 _BLOCK_BYTES, _BLOCKS = 1 << 14, 4  # of a large file: these, spread over it evenly, and its size
-_STRIDE, _FEWEST_BYTES = 8, 64  # every eighth byte, compressed: of a header alone, or of zeros, fewer are left
+_STRIDE, _FEWEST_BYTES = 7, 64  # every seventh byte, compressed: of a header alone, or of zeros, fewer are left
 _TEXTS = (".txt", ".json", ".csv", ".yaml", ".yml", ".xml", ".calib", ".cfg", ".ini", ".toml")
 _PICTURES = (".png", ".jpg", ".jpeg")
 
@@ -24,7 +24,7 @@ _DIGESTS_OF: "WeakKeyDictionary[Dataset, dict[int, str]]" = WeakKeyDictionary()
 
 
 def frame_digests(data: Dataset) -> tuple[str, ...]:
-    """Digests of each frame's contents: those of its clouds and tensors, joined by ``+``, 12 hexadecimal digits each.
+    """Digests of each frame's contents: those of its clouds and tensors, such as ``npy:0123456789ab``, joined by ``+``.
 
     They are of the files that only this frame is read from: of pictures where it has no such cloud, and of texts where
     it has no picture either. Neither names nor maps matter. Of files of more than 64 KiB four blocks of 16 KiB are
@@ -53,12 +53,20 @@ def common_frames(data: Dataset, digests: str) -> tuple[list[bool], bool]:
         digests: Those of :func:`frame_digests` of the others, with blanks between the frames.
 
     Returns:
-        For each frame whether one of its files is one of theirs; and whether those without are certainly none of them.
+        For each frame whether one of its files is one of theirs; and whether those without are other files for certain:
+        of the same formats, each with a digest of its own.
     """
     others = {digest for frame in digests.split() for digest in frame.split("+")}
     own = [frame.split("+") for frame in frame_digests(data)]
-    certain = not any(digest.startswith((NONE, _SHARED)) for digest in others.union(*own))
+    every = others.union(*own)
+    same_formats = {_format(digest) for digest in every} == {_format(digest) for digest in others}
+    certain = same_formats and not any(digest.startswith((NONE, _SHARED)) for digest in every)
     return [any(digest in others and digest != NONE for digest in frame) for frame in own], certain
+
+
+def _format(digest: str) -> str:
+    """The file format that stands before a digest."""
+    return digest.rpartition(":")[0]
 
 
 def _digest(files: Sequence[Path], frames: Counter[Path], frame_id: str) -> str:
@@ -69,7 +77,7 @@ def _digest(files: Sequence[Path], frames: Counter[Path], frame_id: str) -> str:
         return "+".join(sorted({digest for path in own if (digest := _contents(path))})) or NONE
     shared = [digest for path in measured if (digest := _contents(path))]
     text = "\0".join([*sorted(shared), frame_id])
-    return f"{_SHARED}{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}" if shared else NONE
+    return f"{_SHARED}:{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}" if shared else NONE
 
 
 def _kind(path: Path) -> int:
@@ -92,4 +100,5 @@ def _contents(path: Path) -> str:
     sample = data[::_STRIDE]
     if len(zlib.compress(sample, 1)) < _FEWEST_BYTES + len(sample) // _STRIDE**2:
         return ""
-    return hashlib.sha256(b"%d\0" % size + data).hexdigest()[:_DIGITS]
+    suffix = "".join(filter(str.isalnum, path.suffix.lower()))
+    return f"{suffix}:{hashlib.sha256(b'%d' % size + data).hexdigest()[:_DIGITS]}"

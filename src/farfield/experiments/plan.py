@@ -1,7 +1,7 @@
 """From an experiment to a run: processes, modules, data, loop."""
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.experiments.validation import Validation
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import SIMULATION_FILE, environment
-from farfield.simulation.recording import ensure
+from farfield.simulation.recording import ensure, recorded_frames
 from farfield.training.checkpoints import CHECKPOINT_NAME
 from farfield.training.loop import Training
 from farfield.training.method import DETECTOR, METHODS, Method, network_of
@@ -70,7 +70,6 @@ class Plan:
             for config in (config for name, config in _groups(experiment).items() if name not in self.data):
                 ensure(config.simulate, config.path, partial(report.reading, what="simulating"), report.say)
         fabric.barrier()
-        experiment, _ = with_real_data_named(experiment, self.data)  # now that all is there that is simulated
         # Modules: the method's, which take what fits of the weights to start from
         method, transfer = self._method(fresh=not (self.folder / CHECKPOINT_NAME).is_file())
         # Data: the frames of each stream, of which some are held out
@@ -79,6 +78,10 @@ class Plan:
             name: self.data[name] if name in self.data else open_frames(configs[name], stream, experiment)
             for name, stream in method.streams.items()
         }
+        experiment, notes = with_real_data_named(experiment, data)
+        for note in notes:
+            report.say(note)
+        configs = _configs(experiment, method)
         data, validation, taken_out = self._validation(data, configs, method)
         parts = {name: held_out(frames, method.held_out) for name, frames in data.items()}
         data = {name: trained if own is None else without(trained, own) for name, (trained, own) in parts.items()}
@@ -114,7 +117,7 @@ class Plan:
 
     def announce(self, report: TrainingReport) -> None:
         """Say what the run is about to do; errors are those of :meth:`run` that need no simulation to be found."""
-        experiment, notes = with_real_data_named(self.experiment, self.data)
+        experiment, _ = with_real_data_named(self.experiment, {})
         training = experiment.training
         method, _ = self._method(fresh=False)
         configs = _configs(experiment, method)
@@ -138,7 +141,6 @@ class Plan:
                 f"data{of_stream}: {data.root} ({data.name}), {len(data):,} frames of {drives} "
                 f"{'drive' if drives == 1 else 'drives'}"
             )
-        lines += notes
         frames = sum(counts) if len(counts) == len(method.streams) else 0
         passes = f", {training.steps * training.batch_size / frames:.1f} passes over the data" if frames else ""
         lines.append(
@@ -303,27 +305,33 @@ def logged(folder: Path) -> list[dict[str, float | int]]:
     return [rows[step] for step in sorted(rows)]
 
 
-def with_real_data_named(experiment: Experiment, opened: Collection[str] = ()) -> tuple[Experiment, list[str]]:
+def with_real_data_named(experiment: Experiment, opened: Mapping[str, Dataset]) -> tuple[Experiment, list[str]]:
     """The experiment without ``data.simulate`` where ``farfield simulate`` did not make the data that stand there.
 
     Args:
         experiment: The experiment.
-        opened: Streams whose frames are open already: who opened them says what they are.
+        opened: Frames of streams that are open already; each must be of a file that ``simulate`` wrote.
 
     Returns:
         What is true of the data that are there, and a line on each group whose ``simulate`` was dropped.
     """
     groups, notes = _groups(experiment), []
     for name, config in groups.items():
-        if name in opened or config.simulate is None or not config.path.exists():
+        if config.simulate is None or not config.path.exists():
             continue
+        frames = opened.get(name) if name else next(iter(opened.values()), None)
+        count = 0 if frames is None else len(frames) - recorded_frames(config.path, frames)
         if not (config.path / SIMULATION_FILE).is_file():
-            groups[name] = config.model_copy(update={"simulate": None})
-            key = f"data.{name}.simulate" if name else "data.simulate"
-            notes.append(
-                f"{key} ({config.simulate.preset}) does not count and is dropped: farfield simulate did not make "
-                f"{config.path}, and the weights will not say so"
-            )
+            why = f"farfield simulate did not make {config.path}"
+        elif count:
+            why = f"farfield simulate did not make {count} of the {len(frames or ())} frames of {config.path}"
+        else:
+            continue
+        groups[name] = config.model_copy(update={"simulate": None})
+        key = f"data.{name}.simulate" if name else "data.simulate"
+        notes.append(
+            f"{key} ({config.simulate.preset}) does not count and is dropped: {why}, and the weights will not say so"
+        )
     if not notes:
         return experiment, notes
     data = groups[""] if isinstance(experiment.data, DataConfig) else groups

@@ -272,7 +272,7 @@ def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, A
     if _fingerprints(saved) != _fingerprints(provenance):
         taken_out = (provenance.get("held_out") or {}).get("taken_out") if "held_out" not in saved else 0
         why = (
-            f"it learnt from {taken_out} frames that it validates on, as earlier versions let it"
+            "it learnt from frames that it validates on, as earlier versions let it"
             if taken_out
             else "their files or options changed since (data_fingerprint)"
         )

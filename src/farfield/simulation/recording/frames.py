@@ -20,6 +20,7 @@ from farfield.vocabulary.kradar import OUSTER_LINES
 from farfield.vocabulary.patterns import PATTERNS
 
 if TYPE_CHECKING:
+    from farfield.datasets import Dataset
     from farfield.frame import Frame
     from farfield.simulation import Preset
 
@@ -46,6 +47,37 @@ _CACHE_FACTOR = 1.6  # bytes with the binary cache over bytes without
 
 _WORKER_BYTES, _RADAR_WORKER_BYTES = 600_000_000, 1_500_000_000
 _RADAR_SENSORS = {"cells", "sparse", "polar3d", "cube", "tesseract"}
+
+
+def recorded_frames(folder: Path, data: "Dataset") -> int:
+    """How many frames are read from a file that ``farfield simulate`` wrote there, by its journal: by names and sizes.
+
+    All of them where the journal was not copied along.
+
+    Args:
+        folder: The recording.
+        data: Its frames.
+
+    Raises:
+        DatasetError: If the journal is damaged.
+    """
+    path = folder / JOURNAL_NAME
+    if not path.is_file() or not data.stored:
+        return len(data)
+    sizes: dict[str, int] = {}
+    for number, line in enumerate(path.read_bytes().split(b"\n")[:-1], 1):
+        try:
+            sizes |= {name: mark[0] for name, mark in json.loads(line.partition(b"\t")[0])["files"].items()}
+        except (ValueError, AttributeError, TypeError, LookupError) as error:
+            raise DatasetError(f"{path}: line {number} is damaged ({plain(error)[:200]}). Remove the line.") from error
+    root = folder.absolute()
+    recorded = 0
+    for index in range(len(data)):
+        files = [file.absolute() for file in data.files(index) if file.absolute().is_relative_to(root)]
+        recorded += any(
+            sizes.get(file.relative_to(root).as_posix()) == file.stat().st_size for file in files if file.is_file()
+        )
+    return recorded
 
 
 def claim(recording: Recording) -> None:
