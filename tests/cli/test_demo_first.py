@@ -27,6 +27,7 @@ def test_without_torch_nothing_is_simulated(
 
 def test_a_machine_without_a_gpu_is_not_sent_to_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wording, "has_nvidia_gpu", lambda: False)
+    monkeypatch.setattr(wording.sys, "platform", "linux")
     message = str(MissingExtraError("torch", "detect", "Detecting objects"))
     assert "no NVIDIA GPU" in message
     assert "CPU" in message
@@ -34,3 +35,6 @@ def test_a_machine_without_a_gpu_is_not_sent_to_cuda(monkeypatch: pytest.MonkeyP
     assert "CPU" not in str(MissingExtraError("torch", "detect", "Detecting objects"))
     monkeypatch.setattr(wording, "has_nvidia_gpu", lambda: False)
     assert "GPU" not in str(MissingExtraError("numba", "simulate", "Simulating"))
+    monkeypatch.setattr(wording.sys, "platform", "darwin")
+    message = str(MissingExtraError("torch", "detect", "Detecting objects"))
+    assert "GPU" not in message, "pip takes no CUDA there"

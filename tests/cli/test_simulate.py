@@ -15,13 +15,13 @@ import pytest
 
 from farfield.cli import main
 from farfield.datasets import open_dataset
+from farfield.frame.provenance import SIMULATION_JOURNAL
 from farfield.simulation import simulate_frame
-from farfield.simulation.recording.frames import JOURNAL_NAME
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     """The data; the journal is that of one set of settings."""
-    files = [path for path in folder.rglob("*") if path.is_file() and path.name != JOURNAL_NAME]
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != SIMULATION_JOURNAL]
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 

@@ -155,3 +155,41 @@ def test_what_a_network_cannot_compute_is_not_nothing() -> None:
     points = torch.rand(500, len(source.columns)) * 8
     with pytest.raises(FarfieldError, match="not a number"):
         network.predict({name: [points]})
+
+
+@pytest.mark.parametrize(
+    "provenance",
+    [
+        [],
+        {"experiment": "own"},
+        {"experiment": None},
+        {"experiment": {"data": 7}},
+        {"experiment": {"data": {"source": 7}}},
+        {"experiment": {"data": {"path": 7}}},
+        {"experiment": {"data": {"path": "x", "clouds": 7}}},
+        {"experiment": {"data": {"path": "x", "simulate": "cirrus-sim"}}},
+        {"streams": ["labelled"]},
+        {"streams": {"labelled": "x"}},
+        {"streams": {"labelled": {"frame_digests": ["npy:0"]}}},
+        {"start": "x"},
+        {"start": {"weights": 7}},
+        {"adapted": {"start_frame_digests": 7}},
+        {"environment": "x"},
+        {"frames": "many"},
+    ],
+)
+def test_a_provenance_that_its_readers_do_not_understand_is_refused(tmp_path: Path, provenance: Any) -> None:
+    """It raised KeyError, AttributeError or StopIteration where it was said what a detector learnt from."""
+    save_tiny(tmp_path / "w.safetensors")
+    with safe_open(tmp_path / "w.safetensors", framework="pt") as file:
+        metadata = {name: text for name, text in file.metadata().items() if name != "sha256"}
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+    (tmp_path / "w.safetensors").write_bytes(save(tensors, metadata={**metadata, "provenance": json.dumps(provenance)}))
+    with pytest.raises(FileFormatError, match=r"w\.safetensors, provenance"):
+        load_weights(tmp_path / "w.safetensors")
+    if not isinstance(provenance, dict):
+        return
+    config = DETECTORS["pointpillars"].config_class(grid=GRID)
+    with pytest.raises(FarfieldError, match="provenance"):
+        save_weights(tmp_path / "new.safetensors", tensors, config=config, provenance=provenance)
+    assert not (tmp_path / "new.safetensors").exists()

@@ -263,6 +263,8 @@ def test_damaged_files_beside_a_checkpoint_are_named(experiment: Path, tmp_path:
     begin_log(log, anew=False)
     assert log.read_text() == lines
     settings = load_experiment(experiment, ["training.steps=3", "training.start_from=pointpillars-cirrus-sim"])
-    (path.parent / "start.json").write_text("{}")
-    with pytest.raises(FileFormatError, match=r"start\.json"):
-        Plan(settings, path.parent).run()
+    start = {"weights": "pointpillars-cirrus-sim", "sha256": "0", "share": 1.0}
+    for tree in ({}, [], 7, {**start, "weights": 7}, {**start, "frame_digests": ["a"]}):
+        (path.parent / "start.json").write_text(json.dumps(tree))
+        with pytest.raises(FileFormatError, match=r"start\.json"):
+            Plan(settings, path.parent).run()

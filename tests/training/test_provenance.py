@@ -19,7 +19,7 @@ from farfield.experiments.adapting.report import held_frames
 from farfield.experiments.course import course_of
 from farfield.experiments.plan import Plan, with_real_data_named
 from farfield.experiments.schema import DataConfig, load_experiment
-from farfield.frame.provenance import SIMULATION_FILE
+from farfield.frame.provenance import SIMULATION_FILE, is_simulated
 from farfield.simulation.recording import record
 from farfield.training.report import TrainingReport
 
@@ -96,6 +96,8 @@ def test_frames_beside_simulated_ones_are_not_called_simulated(experiment: Path,
     assert isinstance(changed.data, DataConfig)
     assert changed.data.simulate is None
     assert "did not make 2 of the 4 frames" in note
+    assert is_simulated(mixed / "Cirrus_dataset1")
+    assert not is_simulated(folder_of_sweeps(mixed / "mine", 2, np.random.default_rng(0))), "a folder beside them"
 
 
 def described(**data: Any) -> dict[str, Any]:

@@ -41,8 +41,10 @@ def save_weights(
         half: Store matrices and kernels in float16, at half the size; vectors stay as they are.
 
     Raises:
-        FarfieldError: If a number is not finite, or none that a training leaves; nothing is written.
+        FarfieldError: If a number is not finite, or none that a training leaves, or if the provenance could not be read
+            again; nothing is written.
     """
+    _provenance_of(path, json.dumps(provenance))
     metadata = {
         "format": "farfield-detector-1",
         "config": config.model_dump_json(),

@@ -85,6 +85,11 @@ class Plan:
         data, validation, taken_out = self._validation(data, configs, method)
         parts = {name: held_out(frames, method.held_out) for name, frames in data.items()}
         data = {name: trained if own is None else without(trained, own) for name, (trained, own) in parts.items()}
+        if empty := next((name for name, frames in data.items() if not len(frames)), None):
+            raise ConfigError(
+                f"method {experiment.method.name}: all frames of the stream {empty} ({data[empty].root}) are copies of "
+                f"the {method.held_out} that the method holds out. Add frames that are no copies."
+            )
         if taken_out and fabric.is_global_zero:
             report.say(f"validation: {taken_out_text(taken_out)}")
         held = {name: frames for name, (_, frames) in parts.items() if frames is not None}
@@ -263,8 +268,11 @@ class Plan:
         try:
             written = json.loads(path.read_text(encoding="utf-8"))
             start = {name: written[name] for name in ("weights", "sha256", "share")}
-            return {"start": {**start, "frame_digests": written.get("frame_digests")}}
-        except (ValueError, KeyError, TypeError) as error:
+            start["frame_digests"] = written.get("frame_digests")
+            if not isinstance(start["weights"], str) or not isinstance(start["frame_digests"], str | None):
+                raise TypeError("names of weights and frames that are no text")
+            return {"start": start}
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             fix = "Remove the run's folder to begin anew."
             expected = "what a run took of the weights that it started from"
             raise FileFormatError(path, where="the file", expected=expected, got=plain(error), fix=fix) from error

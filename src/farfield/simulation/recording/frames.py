@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.errors import DatasetError, plain
 from farfield.files.atomic import write_text
-from farfield.frame.provenance import SIMULATION_FILE
+from farfield.frame.provenance import SIMULATION_FILE, SIMULATION_JOURNAL
 from farfield.jobs import JobJournal, Unit, UnitResult
 from farfield.jobs.folders import STAGING
 from farfield.jobs.journal import mark_of, state_of
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from farfield.datasets import Dataset
     from farfield.frame import Frame
     from farfield.simulation import Preset
-
-JOURNAL_NAME = ".farfield_simulate.jsonl"
 
 # Bytes a frame by sensor, generously; an Ouster's point takes 80 bytes of ASCII, a Luminar's 70.
 _BYTES = {
@@ -61,7 +59,7 @@ def recorded_frames(folder: Path, data: "Dataset") -> int:
     Raises:
         DatasetError: If the journal is damaged.
     """
-    path = folder / JOURNAL_NAME
+    path = folder / SIMULATION_JOURNAL
     if not path.is_file() or not data.stored:
         return len(data)
     sizes: dict[str, int] = {}
@@ -153,8 +151,8 @@ def units_of(recording: Recording) -> list[Unit]:
 def journal_of(recording: Recording) -> JobJournal:
     """What was written before with these very settings; frames of before there was a journal are entered."""
     setting = json.dumps([recording.preset.as_json(), recording.seed, recording.sensors, recording.cache])
-    path = recording.out / JOURNAL_NAME
-    begun = any(path.name not in (SIMULATION_FILE, JOURNAL_NAME) for path in recording.out.iterdir())
+    path = recording.out / SIMULATION_JOURNAL
+    begun = any(path.name not in (SIMULATION_FILE, SIMULATION_JOURNAL) for path in recording.out.iterdir())
     journal = JobJournal(path, setting)
     for unit in units_of(recording) if begun else ():
         if not journal.has(unit) and (paths := _complete(recording, *unit.parameters)):

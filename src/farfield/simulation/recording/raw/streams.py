@@ -17,10 +17,11 @@ import numpy as np
 
 from farfield.errors import DatasetError
 from farfield.files.atomic import write_text
+from farfield.frame.provenance import SIMULATION_JOURNAL
 from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.jobs.folders import STAGING
 from farfield.jobs.runs import Progress
-from farfield.simulation.recording.frames import JOURNAL_NAME, claim
+from farfield.simulation.recording.frames import claim
 from farfield.simulation.recording.options import SWEEP_PERIOD_S, Recording, RecordingOptions, silent
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def record_streams(
     # claim the folder, and find what is left to do
     claim(recording)
     setting = json.dumps([asdict(recording.preset), recording.seed, recording.sensors, recording.plan])
-    journal = JobJournal(recording.out / JOURNAL_NAME, setting)
+    journal = JobJournal(recording.out / SIMULATION_JOURNAL, setting)
     missing = sum(not journal.has(unit) for unit in units)
     _announce(recording, missing, len(units), report)
     if missing:
