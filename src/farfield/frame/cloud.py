@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes, points_in_boxes
-from farfield.geometry.poses import transform_points
+from farfield.geometry.poses import check_rigid, transform_points
 from farfield.registry import display_html
 
 _PLACE = ("x_m", "y_m", "z_m")
@@ -32,18 +33,19 @@ _NEAREST_M = 1e4  # no sensor sees so far: clouds in millimetres begin nearer
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
-    """A point cloud with whatever columns its file had.
+class Cloud(Locked):
+    """A point cloud with whatever columns its file had; its arrays are read-only.
 
     Args:
-        points_m: x, y, z in metres, shape (n, 3); kept as float32.
+        points_m: x, y, z in metres from about the sensor, shape (n, 3); kept as float32.
         intensity: Return strength in [0, 1], shape (n,), kept as float32; None where it is not known, and for a radar,
             whose power or cross-section is a column of its own.
         extra: Further columns by name, each of shape (n,): ``ring``, ``time_ns``, ``power``, ``doppler_m_s``...
         missing: Rows of the file that had no place, as organised clouds mark a direction without return; left out.
 
     Raises:
-        ValueError: If columns differ in length, points have no three numbers or an intensity lies outside [0, 1].
+        ValueError: If columns differ in length, points have no three numbers, most of them lie beyond 10 km (those of
+            a map, which float32 holds to half a metre) or an intensity lies outside [0, 1].
     """
 
     points_m: Num[np.ndarray, "n 3"]
@@ -52,10 +54,18 @@ class Cloud:
     missing: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points_m", np.asarray(self.points_m, dtype=np.float32))
+        points_m = np.asarray(self.points_m)
+        object.__setattr__(self, "points_m", points_m.astype(np.float32, copy=False))
         if self.points_m.ndim != 2 or self.points_m.shape[1] != 3:
             raise ValueError(
                 f"Cloud.points_m: expected shape (n, 3), got {self.points_m.shape}; Cloud.of takes rows of more columns"
+            )
+        away_m = _beyond_any_sensor(points_m)
+        if away_m:
+            raise ValueError(
+                f"Cloud.points_m: expected metres from the sensor, got points of which half lie beyond {away_m:.4g} m: "
+                "coordinates of a map (UTM, ECEF)? float32 holds them to "
+                f"{np.spacing(np.float32(np.abs(points_m).max())):.2g} m. Subtract where the sensor stood, in float64."
             )
         if self.intensity is not None:
             object.__setattr__(self, "intensity", np.asarray(self.intensity, dtype=np.float32))
@@ -67,6 +77,7 @@ class Cloud:
                 f"Cloud: expected intensities in [0, 1], got {self.intensity.min():g} to {self.intensity.max():g}; "
                 "scale them, or give a radar's power as a column of extra"
             )
+        self.lock()
 
     @classmethod
     def of(cls, rows: Shaped[np.ndarray, "n columns"]) -> "Cloud":
@@ -162,13 +173,32 @@ class Cloud:
         )
 
     def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Cloud":
-        """Move all points rigidly into another frame."""
-        moved = transform_points(target_T_source, self.points_m.astype(np.float64)).astype(np.float32)
+        """Move all points rigidly into another frame.
+
+        Raises:
+            ConfigError: If it is no rigid motion.
+            ValueError: If the points then lie beyond 10 km, as on a map.
+        """
+        check_rigid(target_T_source, "Cloud.transform")
+        moved = transform_points(target_T_source, self.points_m.astype(np.float64))
         return Cloud(moved, self.intensity, self.extra)
 
     def in_boxes(self, boxes: Boxes, *, margin_m: float = 0.0) -> list[Int[np.ndarray, " _"]]:
         """Indices of the points inside each box, one array a box."""
         return points_in_boxes(self.points_m, boxes, margin_m=margin_m)
+
+
+def _beyond_any_sensor(points_m: Num[np.ndarray, "n 3"]) -> float:
+    """The median distance of the points, metres, where it is beyond what sensors see; 0 where it is not.
+
+    What stands at the origin is no return and does not count.
+    """
+    if not len(points_m) or max(points_m.max(), -points_m.min()) <= _NEAREST_M:  # not so for NaN: then it is looked at
+        return 0.0
+    range_m = np.linalg.norm(points_m.astype(np.float64), axis=1)
+    range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
+    median_m = float(np.median(range_m)) if len(range_m) else 0.0
+    return median_m if median_m > _NEAREST_M else 0.0
 
 
 def cache_path(source: Path, root: Path) -> Path:
