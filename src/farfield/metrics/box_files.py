@@ -21,7 +21,7 @@ from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import upright_from_camera
 from farfield.metrics.detections import Detections
-from farfield.metrics.sanity import beyond_a_turn, sanity_warnings, wild_headings
+from farfield.metrics.sanity import beyond_a_turn, wild_headings
 
 _Details = dict[Key, dict[str, np.ndarray]]
 FORMATS = ("boxes-csv", "kitti", "kitti-tracking", "nuscenes")
@@ -67,7 +67,6 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     for word, side in (("predicted", predicted), ("annotated", annotated)):
         notes += wild_headings(word, *side.headings)
     notes += _without_image_boxes(predicted) if format == "kitti" else []
-    notes += sanity_warnings(predicted.boxes, annotated.boxes)
     _name_coordinates(predicted, Path(predictions), reference)
     _name_coordinates(annotated, Path(labels), reference)
     return Detections(
@@ -76,7 +75,7 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         annotations={key: _annotation(boxes, annotated.details.get(key, {})) for key, boxes in annotated.boxes.items()},
         prediction_details={key: _split_details(columns)[0] for key, columns in predicted.details.items()},
         notes=tuple(notes),
-    )
+    ).with_oddities()
 
 
 def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", reference: str = "") -> Detections:

@@ -8,7 +8,7 @@ by its name, lets it complete its settings, evaluates the frames that count, and
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any, ClassVar, TypeVar
@@ -26,7 +26,7 @@ from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.options import option_text
 from farfield.metrics.presenting import Presentation, Presenter
 from farfield.metrics.result import Result, Subject, figure_names, labels_fingerprint, region_words, value_at
-from farfield.metrics.sanity import strange_classes
+from farfield.metrics.sanity import sanity_warnings, split_classes, strange_classes
 from farfield.registry import PluginError, Registry
 from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class
 
@@ -295,6 +295,7 @@ class Detections:
         fingerprint: SHA-256 of the data's files.
         labels_fingerprint: SHA-256 of the annotated boxes as the data has them; unless given, of the annotations here.
         seen_in_training: What is known of the detector having learnt from these frames, in words.
+        checked: Whether the notes say already what is odd about the boxes, see :attr:`oddities`.
     """
 
     boxes: BoxesByFrame
@@ -315,6 +316,7 @@ class Detections:
     fingerprint: str = ""
     labels_fingerprint: str = ""
     seen_in_training: str = "not known"
+    checked: bool = False
 
     def __repr__(self) -> str:
         boxes = sum(map(len, self.boxes.values()))
@@ -325,6 +327,15 @@ class Detections:
         """The annotated boxes by frame."""
         return MappedView(self.annotations, attrgetter("boxes"))
 
+    @cached_property
+    def oddities(self) -> tuple[str, ...]:
+        """What is odd about the boxes, one sentence each: see :mod:`farfield.metrics.sanity`."""
+        return tuple(sanity_warnings(self.boxes, self.annotated))
+
+    def with_oddities(self) -> "Detections":
+        """The same with a note on each oddity."""
+        return self if self.checked else replace(self, notes=(*self.notes, *self.oddities), checked=True)
+
     def replaced(self, boxes: BoxesByFrame) -> "Detections":
         """The same with other boxes, as a tracker gives them."""
         return replace(self, boxes=boxes, prediction_details={})
@@ -333,7 +344,7 @@ class Detections:
         """Score the boxes.
 
         Frames without annotation do not count, nor do boxes outside the region that was annotated. A range bin that
-        begins beyond the detector's reach has no figure. The result's notes say so.
+        begins beyond the detector's reach has no figure. The result's notes say so, and what is odd about the boxes.
 
         Args:
             protocol: Its name, such as ``"dds"`` or ``"kradar-compat:rtnh_wide"``, or the object.
@@ -376,7 +387,9 @@ class Detections:
             seen_in_training=self.seen_in_training,
         )
         relabel = result.settings.get("relabel") or {}
-        notes = [] if self.classes else strange_classes(self.boxes, self.annotated, relabel)
+        notes = [] if self.checked else list(self.oddities)
+        notes += [] if self.classes else strange_classes(self.boxes, self.annotated, relabel)
+        notes += split_classes(self.boxes, self.annotated, relabel)
         annotated = sum(count for name, count in labels_of(self.annotated, relabel) if name == result.label)
         if counted == 0 and annotated:
             notes.append(

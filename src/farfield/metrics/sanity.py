@@ -15,7 +15,8 @@ from jaxtyping import Float
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.frames import BoxesByFrame, frame_order
-from farfield.vocabulary.classes import closest_class, unit_of_sizes
+from farfield.metrics.residuals import systematic_notes
+from farfield.vocabulary.classes import closest_class, normalised_class, unit_of_sizes
 
 _TURN = 2 * np.pi
 _FEW = 0.05  # share of headings beyond a turn that a tracker's unwrapping may leave
@@ -35,11 +36,30 @@ def sanity_warnings(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[st
     doubled = sum(_doubled(boxes) for boxes in predicted.values())
     if doubled > 0.3 * len(sides["predicted"]):
         notes.append(f"{doubled} of {len(sides['predicted'])} predicted boxes stand there twice: one file in another?")
+    twice = sum(_doubled(boxes) for boxes in annotated.values())
+    if twice > 0.02 * len(sides["annotated"]):
+        notes.append(
+            f"{twice} of {len(sides['annotated'])} annotated boxes stand there twice, and one of each two counts as "
+            "missed: one file in another?"
+        )
+    notes += _without_entry(predicted, annotated)
     notes += [*_scores(sides["predicted"]), *fast(predicted, "predicted"), *fast(annotated, "annotated")]
     if _same(predicted, annotated):
         notes.append("predictions and labels are the same boxes: is one file given for both?")
         return notes
     return [*notes, *diagnose_box_convention(predicted, annotated)]
+
+
+def _without_entry(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]:
+    """A note on the annotated frames that no line of predictions names, where some do."""
+    filled = [key for key in annotated if len(annotated[key])]
+    lacking = [key for key in filled if key not in predicted]
+    if lacking and len(lacking) < len(filled):
+        yield (
+            f"{len(lacking)} of {len(filled)} frames with annotated boxes have no predictions at all, such as "
+            f"{' '.join(filter(None, lacking[0]))}: their {sum(len(annotated[key]) for key in lacking)} boxes count as "
+            "missed. Were they detected in?"
+        )
 
 
 def _joined(parts: Iterable[Boxes]) -> Boxes:
@@ -149,6 +169,31 @@ def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: M
     ]
 
 
+def split_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: Mapping[str, str]) -> list[str]:
+    """A note on each side that has two names for what seems to be one class, such as Car and vehicle.
+
+    Args:
+        predicted: Predicted boxes.
+        annotated: Annotated boxes.
+        relabel: Names that count as others.
+    """
+    notes = []
+    for side, counts in (("predicted", _named(predicted, relabel)), ("annotated", _named(annotated, relabel))):
+        for ours in dict.fromkeys(normalised_class(name, {}) for name in counts):
+            names = [name for name in counts if normalised_class(name, {}) == ours != "unknown"]
+            plain = {name.lower() for name in names}
+            if len(names) < 2 or not (ours in plain or len(plain) < len(names)):
+                continue  # a truck and a bus are both large vehicles, and two classes
+            main = next((name for name in names if name == ours), max(names, key=lambda name: counts[name]))
+            pairs = ",".join(f"{name}:{main}" for name in names if name != main)
+            shown = " and ".join(f"{name} ({counts[name]})" for name in names)
+            notes.append(
+                f"{side} boxes are {shown}, which may be one class by two names, scored apart: "
+                f"--options relabel={pairs}"
+            )
+    return notes
+
+
 def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:
     counts: dict[str, int] = {}
     for part in boxes.values():
@@ -163,6 +208,7 @@ def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:
 _NEAR_M = 2.0
 _MOST_FRAMES = 200
 _LEAST = 10  # pairs that may decide
+_MOST = 0.9  # share of pairs that a reading of all of them fits
 _LONG = 1.5  # times as long as wide: then a heading can be seen
 
 Points = Float[np.ndarray, "n 3"]
@@ -199,7 +245,15 @@ def diagnose_box_convention(predicted: BoxesByFrame, annotated: BoxesByFrame) ->
             best, most = f"each frame's boxes were {reading}: frames numbered off by one", count
     if most >= _LEAST and most > 2 * as_read + 5 and most > 0.3 * min(total, sum(map(len, annotated_rows.values()))):
         return [f"{as_read} of {total} predicted boxes lie within 2 m of an annotated one; {most} would if {best}"]
-    return [*_of_pairs(pairs)] if as_read >= _LEAST else []
+    if as_read < _LEAST:
+        return systematic_notes(predicted_rows, annotated_rows)
+    explained = list(_of_pairs(pairs))
+    return explained + systematic_notes(
+        predicted_rows,
+        annotated_rows,
+        with_heights=not any("half their height" in note for note in explained),
+        with_sizes=not any("sizes are" in note or "exchanged" in note for note in explained),
+    )
 
 
 def _rows(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
@@ -218,6 +272,7 @@ _PLACES: Mapping[str, Callable[[Points], Points]] = {
     "they were taken from a camera's axes (x right, y down, z ahead)": partial(_ordered, (2, 0, 1), (1.0, -1.0, -1.0)),
     "their positions were divided by 100: centimetres": partial(_ordered, (0, 1, 2), (0.01, 0.01, 0.01)),
     "their positions were divided by 1000: millimetres": partial(_ordered, (0, 1, 2), (0.001, 0.001, 0.001)),
+    "their positions were multiplied by 0.3048: feet": partial(_ordered, (0, 1, 2), (0.3048, 0.3048, 0.3048)),
 }
 
 
@@ -274,7 +329,7 @@ def _of_pairs(pairs: _PairedBoxes) -> Iterator[str]:
     predicted, annotated = predicted[long], annotated[long]
     as_read = np.abs(np.log(predicted[:, 3:5] / annotated[:, 3:5])).sum(axis=1)
     swapped = np.abs(np.log(predicted[:, 4:2:-1] / annotated[:, 3:5])).sum(axis=1)
-    if np.median(swapped) < 0.4 < np.median(as_read):
+    if np.median(swapped) < 0.4 < np.median(as_read) and (swapped < as_read).mean() > _MOST:
         yield "predicted boxes fit the annotated ones with length and width exchanged: l is the side along the heading"
         return
     yield from _headings(predicted[:, 6], annotated[:, 6])
