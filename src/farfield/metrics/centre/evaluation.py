@@ -50,6 +50,7 @@ from farfield.metrics.frames import (
     has_label,
     in_range,
     in_region,
+    nearest_first,
 )
 
 Variant = tuple[float, float]  # epsilon, threshold in metres
@@ -186,7 +187,7 @@ def gather(
     # flatten takes one frame at a time, since they may lie on the disk; the stream counts what it passes on
     stream = _PredictionStream(predictions, keys, settings)
     predicted = flatten(stream, scored=True)
-    annotated = flatten((annotations[key] for key in keys), scored=False)
+    annotated = flatten((_in_order(annotations[key], settings) for key in keys), scored=False)
     annotated_frame = np.repeat(np.arange(len(keys)), [len(annotations[key].yaw_rad) for key in keys])
     ignored = np.zeros(len(annotated), dtype=bool)
     for name in settings.ignore:
@@ -217,7 +218,7 @@ class _PredictionStream:
     def __iter__(self) -> Iterator[Boxes]:
         for frame, key in enumerate(self.keys):
             if key in self.predictions:
-                boxes = self.predictions[key]
+                boxes = _in_order(self.predictions[key], self.settings)
                 check_scores(boxes)
                 mask = np.ones(len(boxes), dtype=bool)
                 if len(boxes) > self.settings.max_boxes and boxes.score is not None:
@@ -226,6 +227,11 @@ class _PredictionStream:
                 mask &= has_label(boxes, self.settings.label, self.settings.relabel) & in_region(boxes, self.settings)
                 self.per_frame[frame] = np.count_nonzero(mask)
                 yield boxes[mask]
+
+
+def _in_order(boxes: Boxes, settings: CentreSettings) -> Boxes:
+    """The boxes of a frame in the order that decides between equal scores and equal distances."""
+    return boxes[nearest_first(boxes)] if settings.ties == "nearest_first" and len(boxes) > 1 else boxes
 
 
 def _enough_points(boxes: Boxes, least: int) -> Bool[np.ndarray, " n"]:
