@@ -135,8 +135,9 @@ class ScoringFlags:
         least_track_score: For tracking: tracks whose mean score is lower are left out.
         label_version: For kradar: the annotation's version, which stands beside the result; the data set's own unless
             given.
-        options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle, for
-            kradar boxes_in=os2-64 classes=vehicle,pedestrian score_cut=0.3.
+        options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle
+            (added to the protocol's own; relabel= alone is none), for kradar boxes_in=os2-64
+            classes=vehicle,pedestrian score_cut=0.3.
         replicates: Bootstrap replicates of the 95 % intervals; 0 for none.
         seed: Seed of the bootstrap.
     """

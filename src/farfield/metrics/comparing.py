@@ -234,7 +234,10 @@ def _footer(members: list[ComparedResult], letters: Mapping[str, str], *, by_ran
 def _data(entry: ComparedResult) -> tuple[Any, Any]:
     counts = entry.tree.get("counts") or {}
     mine = at(counts, ("classes", entry.label)) or counts
-    return counts.get("frames_given"), mine.get("annotated")
+    frames = counts.get("frames_given", counts.get("frames"))  # tracking's protocols count all frames alike
+    if frames is None and entry.subject is not None:
+        frames = entry.subject.frames
+    return frames, mine.get("annotated")
 
 
 def _conventions(members: list[ComparedResult], *, by_range: bool, separate: bool) -> list[str]:

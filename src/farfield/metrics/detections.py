@@ -23,9 +23,18 @@ from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.frames import BoxesByFrame, labels_of
-from farfield.metrics.options import option_text
+from farfield.metrics.options import check_numbers, merged_relabel, option_text
 from farfield.metrics.presenting import Presentation, Presenter
-from farfield.metrics.result import Result, Subject, figure_names, labels_fingerprint, region_words, value_at
+from farfield.metrics.result import (
+    Result,
+    Subject,
+    figure_names,
+    labels_fingerprint,
+    region_words,
+    value_at,
+    without_lone_intervals,
+    without_ranges,
+)
 from farfield.metrics.sanity import sanity_warnings, split_classes, strange_classes
 from farfield.registry import PluginError, Registry
 from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class
@@ -115,6 +124,7 @@ class Protocol(ABC):
             raise ConfigError(f"{self}: expected options among {expected}; got {', '.join(unknown)}")
         edges_and_weights = {name: options[name] for name in _NUMBERS if options.get(name) is not None}
         options |= {name: tuple(map(float, values)) for name, values in edges_and_weights.items()}
+        options = self.with_own_relabel(options)
         if "label" in self.options() and options.get("label") is None:
             options = {name: value for name, value in options.items() if name != "label"}
             present = self.labels(detections.annotated, **options)
@@ -123,8 +133,16 @@ class Protocol(ABC):
             options |= {"label": next((name for name in present if name in detected), present[0])} if present else {}
         return self.Settings(**options)
 
+    def with_own_relabel(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Options whose ``relabel`` is added to the protocol's own; see :func:`merged_relabel`."""
+        chosen = options.get("relabel") if "relabel" in self.options() else None
+        if chosen is None:
+            return dict(options)
+        return {**options, "relabel": merged_relabel(getattr(self.Settings(), "relabel", None) or {}, chosen)}
+
     def labels(self, boxes: BoxesByFrame, **options: Any) -> tuple[str, ...]:
         """Classes that can be scored, the most frequent first: relabelled ones as one, ignored ones left out."""
+        options = self.with_own_relabel(options)
         chosen = {name: options[name] for name in ("relabel", "ignore") if name in options and name in self.options()}
         default = self.Settings(**chosen)
         names = (name for name, _ in labels_of(boxes, getattr(default, "relabel", {})))
@@ -181,6 +199,7 @@ class Protocol(ABC):
 
 def relabel_of(protocol: Protocol, options: Mapping[str, Any]) -> Mapping[str, str]:
     """Which class names a protocol counts as others, under the settings that are given."""
+    options = protocol.with_own_relabel(options)
     chosen = {name: options[name] for name in ("relabel",) if name in options and name in protocol.options()}
     relabel: Mapping[str, str] = getattr(protocol.Settings(**chosen), "relabel", None) or {}
     return relabel
@@ -355,7 +374,8 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         counted = self.counted()
-        return self._described(counted.evaluated(chosen, chosen.settings(counted, **settings)))
+        result = self._described(counted.evaluated(chosen, chosen.settings(counted, **settings)))
+        return self._with_relabel_notes(result, settings)
 
     def score_each(self, protocol: str | Protocol = "dds", **settings: Any) -> list[Result]:
         """Score every annotated class, each for itself, the most frequent first; or that of ``label`` alone.
@@ -365,7 +385,22 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         counted = self.counted()
-        return [self._described(counted.evaluated(chosen, one)) for one in chosen.each(counted, **settings)]
+        results = [self._described(counted.evaluated(chosen, one)) for one in chosen.each(counted, **settings)]
+        return [self._with_relabel_notes(result, settings) for result in results]
+
+    def _with_relabel_notes(self, result: Result, settings: Mapping[str, Any]) -> Result:
+        """The result with a note on the classes that count as others although the relabel given names them not."""
+        relabel = settings.get("relabel")
+        if not relabel:
+            return result
+        merged = result.settings.get("relabel") or {}
+        present = {name for side in (self.annotated, self.boxes) for name, _ in labels_of(side, {})}
+        own = {old: new for old, new in merged.items() if old not in relabel and old in present and old != new}
+        notes = [
+            f"{old} counts as {new} too, as the protocol has it (relabel={old}:{old} keeps it apart)"
+            for old, new in own.items()
+        ]
+        return replace(result, notes=(*result.notes, *notes))
 
     def _described(self, result: Result) -> Result:
         """The result with its subject, and with notes on classes and regions in which nothing can be found."""
@@ -402,6 +437,11 @@ class Detections:
     def paired(self) -> int:
         """Number of frames that have both predicted and annotated boxes."""
         return sum(key in self.boxes and len(boxes) > 0 < len(self.boxes[key]) for key, boxes in self.annotated.items())
+
+    def shared_classes(self, relabel: Mapping[str, str]) -> set[str]:
+        """Classes that predicted and annotated boxes have both, once ``relabel`` has named them."""
+        predicted, annotated = ({name for name, _ in labels_of(side, relabel)} for side in (self.boxes, self.annotated))
+        return predicted & annotated
 
     def check_label(self, protocol: str | Protocol, label: str | None = None, **options: Any) -> None:
         """Refuse a class that no annotated box bears or that the detector does not know: figures would be null or 0.
@@ -447,7 +487,10 @@ class Detections:
 
     def evaluated(self, protocol: Protocol, settings: Any) -> Result:
         """Evaluate detections that count (see :meth:`counted`) with the settings of a protocol."""
-        result = protocol.evaluate(self, settings)
+        check_numbers(settings)
+        result = without_lone_intervals(protocol.evaluate(self, settings))
+        if self.facts.get("ranges") == "not known":
+            result = without_ranges(result)
         convention = result.convention or protocol.convention_text(result.settings)
         noted = replace(result, convention=convention, notes=(*self.notes, *result.notes))
         return _within_reach(noted, self.reach_m)

@@ -47,7 +47,10 @@ class DdsResult(Result):
                 rows.append([name, *boxes, f"{epsilon:g}", *figures])
         title = f"DDS (epsilon 0) and wDDS of {self.label!r}, by range in metres; '-': nothing annotated"
         head = ["range", "annotated", "predicted", "epsilon", "DDS", "mAP", "aIoU"]
-        return f"{title}\n\n{table(head, rows)}\n\n{self.footer()}"
+        limit = self.settings["aiou_threshold_m"]
+        within = f"within {limit:g} m" if isinstance(limit, int | float) else "within the least threshold"
+        matches = f"aIoU of the whole: mean over {self.counts['matches']} matches {within}"
+        return f"{title}\n\n{table(head, rows)}\n\n{matches}\n{self.footer()}"
 
 
 def evaluate_dds(

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 
 from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.options import check_range_bins, json_options, option_text
+from farfield.metrics.options import check_numbers, check_range_bins, json_options, option_text
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "distance": ("3d", "bev"),
@@ -93,6 +93,7 @@ class CentreSettings:
             if getattr(self, name) not in choices:
                 raise ConfigError(f"{name}: expected one of {', '.join(choices)}, got {getattr(self, name)!r}")
         check_range_bins(self.range_bins_m)
+        check_numbers(self)
         if not self.thresholds_m or min(self.thresholds_m) <= 0 or len(set(self.thresholds_m)) < len(self.thresholds_m):
             raise ConfigError(f"thresholds_m: expected different positive distances, got {self.thresholds_m}")
         if not self.epsilons or min(self.epsilons) < 0 or len(set(self.epsilons)) < len(self.epsilons):

@@ -85,6 +85,7 @@ class KRadarProtocol(Protocol):
 
         The coordinates of the boxes and the annotations' version are those of the detections. ``label`` is one class.
         """
+        options = self.with_own_relabel(options)
         label, relabel = options.pop("label", None), options.get("relabel", CIRRUS_FROM_ANY_KRADAR)
         if label is not None:
             options["classes"] = (relabel.get(label, label),)
@@ -105,6 +106,7 @@ class KRadarProtocol(Protocol):
 
     def labels(self, boxes: BoxesByFrame, **options: Any) -> tuple[str, ...]:
         """The classes of the settings that occur, the most frequent first."""
+        options = self.with_own_relabel(options)
         settings = kradar_settings(
             str(self), **{name: options[name] for name in ("relabel", "classes") if name in options}
         )

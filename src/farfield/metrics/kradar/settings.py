@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.options import check_range_bins, json_options, option_text
+from farfield.metrics.options import check_numbers, check_range_bins, json_options, option_text
 from farfield.metrics.recall_sampling import RECALL_POINTS
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
 from farfield.vocabulary.kradar import KRADAR_ORIGIN_M, REGIONS_M, Bounds
@@ -101,6 +101,7 @@ class KRadarSettings:
     bootstrap: Bootstrap = field(default_factory=Bootstrap)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 expected = ", ".join(map(str, choices))
