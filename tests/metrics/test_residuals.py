@@ -132,3 +132,9 @@ def test_one_class_by_two_names_is_said_on_either_side() -> None:
     assert any("predicted boxes are" in note for note in _notes(_good(half), labels))
     apart = {key: b.replace(label=["truck", "bus", "bus"] * 3) for key, b in labels.items()}
     assert _notes(_good(apart), apart) == ()
+
+
+def test_real_detections_lie_in_frames_of_their_own(real_detections) -> None:
+    detections, _ = real_detections
+    words = ("exchanged", "turned", "stand ", "times the annotated", "factor")
+    assert not [note for note in detections.notes if any(word in note for word in words)]

@@ -218,7 +218,7 @@ def _other_frames(predicted: Mapping[Key, Rows], annotated: Mapping[Key, Rows]) 
         others = [other for other in keys if other != key and other[0] == key[0]][:_MOST_CANDIDATES]
         gaps_m = {other: _apart(predicted[key], annotated[other]) for other in others}
         best = min(gaps_m, key=lambda other: gaps_m[other], default=key)
-        if gaps_m.get(best, np.inf) < 0.3 * own_m[key]:
+        if gaps_m.get(best, np.inf) < min(0.3 * own_m[key], max(_ANOTHER_FRAME_M, 2 * usual_m)):
             yield (
                 f"the predicted boxes of frame {' '.join(filter(None, key))} lie on the annotated ones of frame "
                 f"{' '.join(filter(None, best))} (median {gaps_m[best]:.2g} m, against {own_m[key]:.2g} m in their "
