@@ -44,7 +44,7 @@ class Cloud(Locked):
         missing: Rows of the file that had no place, as organised clouds mark a direction without return; left out.
 
     Raises:
-        ValueError: If columns differ in length, points have no three numbers, most of them lie beyond 10 km (those of
+        ValueError: If columns differ in length, points have no three numbers, all of them lie beyond 10 km (those of
             a map, which float32 holds to half a metre) or an intensity lies outside [0, 1].
     """
 
@@ -63,7 +63,8 @@ class Cloud(Locked):
         away_m = _beyond_any_sensor(points_m)
         if away_m:
             raise ValueError(
-                f"Cloud.points_m: expected metres from the sensor, got points of which half lie beyond {away_m:.4g} m: "
+                f"Cloud.points_m: expected metres from the sensor, got points of which the nearest lies "
+                f"{away_m:.4g} m away: "
                 "coordinates of a map (UTM, ECEF)? float32 holds them to "
                 f"{np.spacing(np.float32(np.abs(points_m).max())):.2g} m. Subtract where the sensor stood, in float64."
             )
@@ -189,7 +190,7 @@ class Cloud(Locked):
 
 
 def _beyond_any_sensor(points_m: Num[np.ndarray, "n 3"]) -> float:
-    """The median distance of the points, metres, where it is beyond what sensors see; 0 where it is not.
+    """The distance of the nearest point, metres, where it is beyond what sensors see; 0 where it is not.
 
     What stands at the origin is no return and does not count.
     """
@@ -197,8 +198,8 @@ def _beyond_any_sensor(points_m: Num[np.ndarray, "n 3"]) -> float:
         return 0.0
     range_m = np.linalg.norm(points_m.astype(np.float64), axis=1)
     range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
-    median_m = float(np.median(range_m)) if len(range_m) else 0.0
-    return median_m if median_m > _NEAREST_M else 0.0
+    nearest_m = float(range_m.min()) if len(range_m) else 0.0
+    return nearest_m if nearest_m > _NEAREST_M else 0.0
 
 
 def cache_path(source: Path, root: Path) -> Path:

@@ -6,6 +6,7 @@ from jaxtyping import Float
 from farfield.errors import ConfigError
 
 _NOT_ORTHONORMAL = 1e-3  # what calibrations of few digits leave; a longer scale moves a box at 250 m by 0.1 m
+_LAST_ROW, _EYE = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
 
 
 def check_rigid(target_T_source: Float[np.ndarray, "4 4"], what: str) -> None:
@@ -22,9 +23,9 @@ def check_rigid(target_T_source: Float[np.ndarray, "4 4"], what: str) -> None:
     fault = ""
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         fault = "numbers that are not finite" if pose.shape == (4, 4) else f"shape {pose.shape}"
-    elif not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-6):
+    elif np.abs(pose[3] - _LAST_ROW).max() > 1e-6:
         fault = f"the last row {pose[3].tolist()}"
-    elif not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), rtol=0.0, atol=_NOT_ORTHONORMAL):
+    elif np.abs(pose[:3, :3] @ pose[:3, :3].T - _EYE).max() > _NOT_ORTHONORMAL:
         fault = f"axes of length {np.round(np.linalg.norm(pose[:3, :3], axis=0), 4).tolist()}, or not at right angles"
     elif np.linalg.det(pose[:3, :3]) < 0:
         fault = "a mirror: its determinant is -1"
