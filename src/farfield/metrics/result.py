@@ -111,8 +111,8 @@ def subject_of(result: Mapping[str, Any]) -> Subject | None:
 def labels_fingerprint(annotations: Mapping[Key, Annotation]) -> str:
     """SHA-256 over the annotated boxes: frames, classes, and places, sizes and headings to a millimetre or milliradian.
 
-    Unlike the fingerprint of a data set it does not depend on files: labels that were moved without a change of a
-    file's size differ in it.
+    The order of a frame's boxes does not bear on it. Unlike the fingerprint of a data set it does not depend on
+    files: labels that were moved without a change of a file's size differ in it.
     """
     return digest_of((key, annotations[key]) for key in sorted(annotations, key=frame_order))
 
@@ -122,9 +122,10 @@ def digest_of(annotations: Iterable[tuple[Key, Annotation]]) -> str:
     digest = hashlib.sha256()
     for key, annotation in annotations:
         boxes = annotation.boxes
-        digest.update("\0".join((*key, *map(str, np.asarray(boxes.label).tolist()))).encode() + b"\n")
-        for values in (boxes.centre_m, boxes.size_m, boxes.yaw_rad):
-            digest.update(np.rint(np.asarray(values, dtype=np.float64) * 1e3).astype(np.int64).tobytes())
+        rows = np.rint(np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]) * 1e3).astype(np.int64)
+        order = np.lexsort((np.unique(boxes.label, return_inverse=True)[1].reshape(-1), *rows.T))
+        digest.update("\0".join((*key, *np.asarray(boxes.label)[order].tolist())).encode() + b"\n")
+        digest.update(rows[order].tobytes())
     return digest.hexdigest()
 
 
