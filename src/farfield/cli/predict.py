@@ -63,7 +63,9 @@ def run(
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
         reading: How the files are read.
-        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
+        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so. In bf16
+            and fp16 on a processor, numbers change by about 0.002 with the order of a cloud's points, in fp32 by a
+            millionth.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         jobs: Who does the work.
         picture: Draw the first frame from above into this file, and its camera images with their boxes beside it, as
