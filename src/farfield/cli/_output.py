@@ -62,13 +62,10 @@ def would_write(what: str, where: Path | str, much: str = "") -> None:
     print(f"would write {what} to {where}{', ' + much if much else ''}; nothing is written now")
 
 
-def sized(count: int) -> str:
-    """Bytes in GB, small numbers of them in MB."""
-    return f"{count / 1e9:.2f} GB" if count >= 1e8 else f"{count / 1e6:.2f} MB"
-
-
 def from_files(paths: Iterable[Path]) -> str:
     """How much the files hold that something is made of."""
+    from farfield.files.sizes import sized
+
     total = 0
     for path in set(paths):
         with suppress(OSError):  # an absent one is said when it is read

@@ -22,7 +22,7 @@ from farfield.metrics.centre.protocol import CentrePresenter, CentreProtocol, di
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import BoxesByFrame
-from farfield.metrics.presenting import Presentation, Words
+from farfield.metrics.presenting import Presentation, Words, by_number
 from farfield.metrics.result import Result, table, value_at
 
 
@@ -94,7 +94,7 @@ class DdsPresenter(CentrePresenter):
 
     def presentation(self, result: Mapping[str, Any]) -> Presentation:
         """DDS with its mAP, wDDS, and what they are made of."""
-        epsilons = sorted(result.get("dds") or {}, key=float)
+        epsilons = by_number(result.get("dds") or {}, "dds")
         scores = [f"dds/{epsilon}/dds" for epsilon in epsilons]
         first = epsilons[0] if epsilons else "0"
         return Presentation(
