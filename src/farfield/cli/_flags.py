@@ -30,12 +30,14 @@ class ReadingFlags:
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         columns: Columns of .bin files; what the numbers themselves show unless given.
+        radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
     """
 
     mapping: Path | None = None
     labels: str | None = None
     roots: tuple[Path, ...] = ()
     columns: int | None = None
+    radars: tuple[str, ...] = ()
 
     @property
     def options(self) -> dict[str, Any]:
@@ -45,6 +47,7 @@ class ReadingFlags:
             "labels": self.labels,
             "roots": self.roots,
             "bin_columns": self.columns,
+            "radars": self.radars,
         }
         return {name: value for name, value in options.items() if value}
 
@@ -53,7 +56,10 @@ class ReadingFlags:
         from farfield.datasets import open_dataset
 
         further = {name: value for name, value in options.items() if value}
-        return open_dataset(path, **self.options, **further)
+        opened = open_dataset(path, **self.options, **further)
+        for note in opened.unwrapped.notes:
+            print(f"warning: {note}", file=sys.stderr)
+        return opened
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.geometry.arrays import Locked
+from farfield.files.stand_ins import check_itself
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.poses import check_rigid, transform_points
 from farfield.registry import display_html
@@ -338,6 +339,7 @@ def columns_shown(paths: Sequence[Path]) -> int | None:
 
 
 def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
+    check_itself(path)
     try:
         rows = np.load(path, allow_pickle=False, mmap_mode="r")  # the header's size is checked against the file's
     except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:  # numpy parses a Python literal
@@ -351,6 +353,7 @@ def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
 
 def xyz_columns(path: Path) -> int | None:
     """Columns of an ASCII cloud with fewer than Cirrus' five: three, or four; None leaves it to the reader."""
+    check_itself(path)
     with path.open("rb") as handle:
         first = handle.read(_LINE_BYTES).partition(b"\n")[0].decode("ascii", errors="replace")
     count = len(first.replace(";", " ").replace(",", " ").split())

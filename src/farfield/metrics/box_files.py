@@ -16,6 +16,7 @@ from farfield.files.boxes_csv import BoxRows, read_boxes_csv
 from farfield.files.coordinates import read_coordinates
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
 from farfield.files.nuscenes import read_results_in
+from farfield.files.stand_ins import check_itself
 from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
@@ -358,6 +359,7 @@ def _read_kitti(side: _SideBoxes, path: Path, stem: str) -> None:
 
 
 def _read_kitti_tracking(side: _SideBoxes, path: Path, stem: str) -> None:
+    check_itself(path)
     with path.open("rb") as handle:
         commas = b"," in handle.readline(4096)
     tracks: KittiTracks = read_detections(path) if commas else read_tracking(path)

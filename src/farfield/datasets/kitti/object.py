@@ -26,6 +26,7 @@ from farfield.files.atomic import write_text
 from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
+from farfield.files.stand_ins import check_itself
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
@@ -94,6 +95,7 @@ class Kitti(Dataset):
         for name in ("train", "val", "test"):
             path = self.root / "ImageSets" / f"{name}.txt"
             if path.is_file():
+                check_itself(path)
                 parts[name] = path.read_text("ascii").split()
         return parts or super().split_parts()
 
