@@ -19,7 +19,7 @@ from farfield.cli._flags import (
     ShownBoxes,
     names,
 )
-from farfield.cli._output import bar, would_write, write_json
+from farfield.cli._output import bar, print_doubts, would_write, write_json
 
 _FEW = 40
 """Frames for which this process is faster than others that must first import torch."""
@@ -98,6 +98,7 @@ def run(
 
     opened = reading.open(data, rotate_deg=rotate_deg)
     opened = opened.split(split) if split else opened
+    print_doubts(opened)
     loaded = load_detector(detector, precision=precision, device=device, **boxes.options)
     print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     protocol = protocol or opened.protocol

@@ -9,7 +9,7 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, OWN_BOXES, Jobs, Reading, ReadingFlags, ShownBoxes
-from farfield.cli._output import would_write
+from farfield.cli._output import print_doubts, would_write
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -84,6 +84,7 @@ def run(
     frames = _frames(files, rotate_deg, reading)
     if out is not None:
         check_apart(out, frames)
+    print_doubts(frames, cloud)
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **boxes.options)
     print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
