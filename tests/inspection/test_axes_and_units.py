@@ -118,7 +118,12 @@ def test_every_verb_says_it(
         ["predict", detector, str(folder), "--out", str(tmp_path / "found.csv"), "--dry-run"],
         ["predict", detector, str(folder / "000.npy"), "--dry-run"],
         ["evaluate", detector, str(folder), "--dry-run"],
-        ["train", detector, "-o", f"data.path={folder}", "-o", "data.clouds=[lidar]", "--dry-run"],
+        [
+            "train",
+            detector,
+            "--dry-run",
+            *("-o", f"data.path={folder}", "-o", "data.clouds=[lidar]", "-o", "data.simulate=null"),
+        ],
     ):
         cli.main(arguments)
         captured = capsys.readouterr()

@@ -83,6 +83,10 @@ class Plan:
         for note in notes:
             report.say(note)
         configs = _configs(experiment, method)
+        if fabric.is_global_zero:  # of what was not there yet when the run was announced
+            for name in (name for name in data if name not in self.data and configs[name].simulate):
+                for doubt in first_doubts(data[name]):
+                    report.say(f"warning: {doubt}")
         data, validation, taken_out = self._validation(data, configs, method)
         parts = {name: held_out(frames, method.held_out) for name, frames in data.items()}
         data = {name: trained if own is None else without(trained, own) for name, (trained, own) in parts.items()}

@@ -8,6 +8,7 @@ import numpy as np
 
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.folder import MAPPING_NAME, Folder
+from farfield.datasets.maps.coordinates import Move
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud
 from farfield.inspection.axes_and_units import forward_doubt, unit_of_boxes, unit_of_points, upright_doubt
@@ -249,7 +250,8 @@ def check_clouds_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Find
     annotated = survey.all_boxes()
     if unit_of_points(points) is not None or unit_of_boxes(annotated) is not None:
         return
-    for doubt in (upright_doubt(points), forward_doubt(points, annotated)):
+    turned = any(isinstance(function, Move) for function in survey.dataset.maps)  # then ahead is where was asked for
+    for doubt in (upright_doubt(points), None if turned else forward_doubt(points, annotated)):
         if doubt is not None:
             severity = "fail" if doubt.certain else "warn"
             yield Finding(severity=severity, topic=doubt.topic, what=doubt.what, fix=doubt.fix)  # type: ignore[arg-type]
