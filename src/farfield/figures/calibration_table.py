@@ -25,19 +25,19 @@ class CalibrationRow:
         value: What it is now; None where only the change says something.
         change: Against what was there; None where nothing was.
         sigma: Standard deviation; None where the data do not tell.
-        told: Whether the data tell it.
+        observed: Whether the data tell it.
     """
 
     name: str
     value: float | None = None
     change: float | None = None
     sigma: float | None = None
-    told: bool = True
+    observed: bool = True
 
     @property
     def verdict(self) -> str:
         """``keep``, ``replace``, ``not told``, or nothing where there is nothing to compare with."""
-        if not self.told or self.sigma is None or not isfinite(self.sigma):
+        if not self.observed or self.sigma is None or not isfinite(self.sigma):
             return "not told"
         if self.change is None:
             return ""
@@ -77,7 +77,7 @@ def calibration_rows(result: Mapping[str, Any]) -> list[CalibrationRow]:
             name=_titled(name),
             change=changes.get(name),
             sigma=sigma,
-            told=not _is_unobserved(name.rpartition("_")[0] or name, notes),
+            observed=not _is_unobserved(name.rpartition("_")[0] or name, notes),
         )
         for name, sigma in sigmas.items()
     ]
@@ -120,8 +120,10 @@ def _radar_rows(result: Mapping[str, Any], notes: str) -> list[CalibrationRow]:
         field, factor = ours.get(name, ("", 1.0))
         change = factor * (pose[field] - before[field]) if field else None
         value = factor * pose[field] if field else entry["value"]
-        told = not _is_unobserved(name.rpartition("_")[0], notes)
-        rows.append(CalibrationRow(name=_titled(name), value=value, change=change, sigma=entry["sigma"], told=told))
+        observed = not _is_unobserved(name.rpartition("_")[0], notes)
+        rows.append(
+            CalibrationRow(name=_titled(name), value=value, change=change, sigma=entry["sigma"], observed=observed)
+        )
     return rows
 
 
