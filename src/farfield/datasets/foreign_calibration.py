@@ -116,7 +116,8 @@ def _kalibr(name: str, node: Mapping[str, Any]) -> ForeignCamera:
     if intrinsics.shape != (4,):
         raise ValueError(f"{name}.intrinsics: expected fx, fy, cx, cy, got {intrinsics.size} numbers")
     fx, fy, cx, cy = intrinsics
-    size = node.get("resolution") if isinstance(node.get("resolution"), list) else [0, 0]
+    resolution = node.get("resolution")
+    size = list(resolution) if isinstance(resolution, list) else []
     values = _array(node.get("distortion_coeffs") or [], f"{name}.distortion_coeffs")
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return _camera("Kalibr's camchain", matrix, values, node, [*size, 0, 0][:2])
