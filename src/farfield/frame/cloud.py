@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError, FileFormatError
-from farfield.geometry.arrays import Locked
 from farfield.files.stand_ins import check_itself
+from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.poses import check_rigid, transform_points
 from farfield.registry import display_html
