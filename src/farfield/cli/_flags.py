@@ -31,11 +31,13 @@ class CloudFlags:
         intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
             given.
         point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
+        radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
     """
 
     columns: int | None = None
     intensity_scale: float | None = None
     point_times: PointTimes = "auto"
+    radars: tuple[str, ...] = ()
 
     @property
     def cloud_options(self) -> dict[str, Any]:
@@ -44,6 +46,7 @@ class CloudFlags:
             "bin_columns": self.columns,
             "intensity_scale": self.intensity_scale,
             "point_times": None if self.point_times == "auto" else self.point_times,
+            "radars": self.radars or None,
         }
         return {name: value for name, value in options.items() if value is not None}
 
@@ -57,7 +60,10 @@ class CloudFlags:
         from farfield.datasets import open_dataset
 
         further = {name: value for name, value in options.items() if value}
-        return open_dataset(path, **self.options, **further)
+        opened = open_dataset(path, **self.options, **further)
+        for note in opened.unwrapped.notes:
+            print(f"warning: {note}", file=sys.stderr)
+        return opened
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +78,7 @@ class ReadingFlags(CloudFlags):
         intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
             given.
         point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
+        radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
     """
 
     mapping: Path | None = None
@@ -164,8 +171,9 @@ class ScoringFlags:
         least_track_score: For tracking: tracks whose mean score is lower are left out.
         label_version: For kradar: the annotation's version, which stands beside the result; the data set's own unless
             given.
-        options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle, for
-            kradar boxes_in=os2-64 classes=vehicle,pedestrian score_cut=0.3.
+        options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle
+            (added to the protocol's own; relabel= alone is none), for kradar boxes_in=os2-64
+            classes=vehicle,pedestrian score_cut=0.3.
         replicates: Bootstrap replicates of the 95 % intervals; 0 for none.
         seed: Seed of the bootstrap.
     """

@@ -65,6 +65,7 @@ def run(
     from farfield.errors import ConfigError
     from farfield.evaluation.record import EVALUATION, Evaluation
     from farfield.experiments.course import course_of, is_run
+    from farfield.files.sizes import sized
     from farfield.pages.evaluation_page import write_report
 
     if not evaluation.exists():
@@ -76,7 +77,7 @@ def run(
     if out is None:
         out = evaluation / "report.html" if evaluation.is_dir() else evaluation.with_suffix(".html")
     path = write_report(out, replace(content, title=title or content.title), shown_score=shown_score)
-    print(f"report: {path.resolve()} ({path.stat().st_size / 1e6:.1f} MB)")
+    print(f"report: {path.resolve()} ({sized(path.stat().st_size)})")
     return 0
 
 
@@ -90,6 +91,7 @@ def _film(
     jobs: JobFlags,
 ) -> int:
     from farfield.evaluation import in_coordinates
+    from farfield.files.sizes import sized
     from farfield.metrics.box_files import read_predictions
     from farfield.pages.film import FilmSettings, drive_named, make_film
 
@@ -107,5 +109,5 @@ def _film(
         settings=FilmSettings(reach_m=reach_m, rate_hz=rate_hz, score=score),
         bulk=jobs.options("drawing"),
     )
-    print(f"film: {film.resolve()} ({count} frames, {film.stat().st_size / 1e6:.1f} MB)")
+    print(f"film: {film.resolve()} ({count} frames, {sized(film.stat().st_size)})")
     return 0

@@ -17,7 +17,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated
 
@@ -27,7 +27,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.base import Dataset, Indices, all_known
-from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
+from farfield.datasets.calibration import CALIBRATION_NAMES, usable_cameras
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
@@ -35,7 +35,7 @@ from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import read_image
 from farfield.files.point_times import PointTimes
 from farfield.files.suffixes import any_case, existing
-from farfield.frame import Annotation, Boxes, Constant, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame import Annotation, Boxes, Camera, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
 
 TABLE_NAME = "labels.csv"
@@ -74,9 +74,11 @@ def read_boxes(path: Path | str) -> Boxes:
     Raises:
         FileFormatError: If the file does not hold such boxes.
     """
+    data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
-        entries = _BoxFile.model_validate_json(read_bytes(path, max_bytes=_MAX_BYTES)).boxes
+        entries = _BoxFile.model_validate_json(data).boxes
     except ValidationError as error:
+        _refuse_labelcloud(path, data)
         raise FileFormatError(path, where="keys", expected="boxes", got=plain(error)) from error
     if not entries:
         return Boxes.empty()
@@ -94,6 +96,32 @@ def read_boxes(path: Path | str) -> Boxes:
         if all(t is None for t in tracks)
         else np.array([-1 if t is None else t for t in tracks], dtype=np.int64),
         velocity_m_s=_velocities(path, entries),
+    )
+
+
+def _refuse_labelcloud(path: Path | str, data: bytes) -> None:
+    """Name labelCloud's JSON, whose boxes are called objects.
+
+    Raises:
+        FileFormatError: If it is such a file.
+    """
+    try:
+        tree = json.loads(data)
+    except (ValueError, RecursionError):
+        return
+    objects = tree.get("objects") if isinstance(tree, dict) else None
+    entries = objects if isinstance(objects, list) else []
+    keys = {key for entry in entries if isinstance(entry, dict) for key in entry}
+    if objects is None or not (keys & {"centroid", "vertices"} or "filename" in tree):
+        return
+    raise FileFormatError(
+        path,
+        where="key 'objects'",
+        expected="boxes",
+        got="labels of labelCloud",
+        fix='Write {"boxes": [...]}: label from name, centre_m from centroid, size_m from dimensions (length, width, '
+        "height), yaw_rad from rotations.z, which centroid_abs has in degrees; or set label_format = centroid_rel in "
+        "labelCloud, whose rotations are radians.",
     )
 
 
@@ -137,6 +165,25 @@ def _time_ns(stem: str) -> int | None:
 
 def _read_annotation(path: Path, classes: Mapping[str, str]) -> Annotation:
     return renamed(Annotation(boxes=read_boxes(path)), classes)
+
+
+def cloud_files(root: Path) -> list[Path]:
+    """The clouds of a folder in the order of their names, without hidden files such as macOS' ``._a.pcd``.
+
+    Raises:
+        DatasetError: If one is a link to what is not there: a frame would be missing without a word.
+    """
+    named = sorted(
+        path for path in root.iterdir() if path.suffix.lower() in CLOUD_SUFFIXES and not path.name.startswith(".")
+    )
+    broken = [path for path in named if path.is_symlink() and not path.exists()]
+    if broken:
+        raise DatasetError(
+            f"{broken[0]}: expected a cloud, found a link to {broken[0].readlink()}, which is not there or leads in a "
+            f"circle ({len(broken)} of {len(named)} clouds are such links). Copy what it stands for, or, in a "
+            "repository of git-annex: git annex get ."
+        )
+    return [path for path in named if path.is_file()]
 
 
 def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
@@ -206,9 +253,7 @@ class Folder(Dataset):
         own = self.root / MAPPING_NAME
         self.mapping_path = Path(mapping) if mapping is not None else own if own.is_file() else None
         self.classes = {} if self.mapping_path is None else read_class_mapping(self.mapping_path)
-        self.clouds = sorted(
-            path for path in self.root.iterdir() if path.suffix.lower() in CLOUD_SUFFIXES and path.is_file()
-        )
+        self.clouds = cloud_files(self.root)
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected clouds with suffix {', '.join(CLOUD_SUFFIXES)}; found none")
         self.frame_ids = tuple(path.stem for path in self.clouds)
@@ -299,13 +344,22 @@ class Folder(Dataset):
         """The calibration of the camera, one of the usual names in the root, or None."""
         return next((self.root / name for name in CALIBRATION_NAMES if (self.root / name).is_file()), None)
 
+    @cached_property
+    def _calibration(self) -> tuple[dict[str, Camera], tuple[str, ...]]:
+        """The cameras, and what is to be said of the file."""
+        return usable_cameras(self.calibration_file)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What of the calibration cannot be used."""
+        return self._calibration[1]
+
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         path, stem = self.clouds[index], self.frame_ids[index]
         image = self._beside(index, ("", "images"), _IMAGE_SUFFIXES)
-        calibration = self.calibration_file
         images = Lazy({} if image is None else {"camera": partial(read_image, image)})
-        cameras = {} if calibration is None else read_calibration(calibration)
+        cameras = self._calibration[0]
         load = self.reading.loader(path, _time_ns(stem))
         return Frame(
             sequence=self.sequences[index],

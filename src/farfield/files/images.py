@@ -12,6 +12,7 @@ from PIL import Image, ImageOps
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import open_atomic, read_bytes
+from farfield.files.stand_ins import check_itself
 
 MAX_PIXELS = 100_000_000  # 300 MB in memory
 _MAX_IMAGE_BYTES = 1 << 28
@@ -66,6 +67,7 @@ def image_size(path: Path | str) -> tuple[int, int]:
     Raises:
         FileFormatError: If the file is no such image.
     """
+    check_itself(path)
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(path, formats=("JPEG", "PNG")) as image:
             return image.size

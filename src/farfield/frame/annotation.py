@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from farfield.errors import DatasetError
+from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.geometry.poses import invert, transform_points
+from farfield.geometry.poses import check_rigid, invert, transform_points
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,7 +47,7 @@ class CameraField:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Footprints:
+class Footprints(Locked):
     """Objects that were annotated from above only: they have no height and are no boxes.
 
     Args:
@@ -60,6 +61,9 @@ class Footprints:
     centre_m: Float[np.ndarray, "n 2"]
     size_m: Float[np.ndarray, "n 2"]
     yaw_rad: Float[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        self.lock()
 
     def __len__(self) -> int:
         return len(self.label)
@@ -80,7 +84,7 @@ class ImpossibleBoxError(DatasetError):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Annotation:
+class Annotation(Locked):
     """The annotated boxes of a frame, and what is known of each.
 
     Args:
@@ -120,6 +124,7 @@ class Annotation:
             if rows is not None and len(rows) != len(self.boxes):
                 raise ValueError(f"Annotation.{name}: expected {len(self.boxes)} rows, one a box, got {len(rows)}")
         self._check_possible()
+        self.lock()
 
     def _check_possible(self) -> None:
         limits = {"centres": (self.boxes.centre_m, _FARTHEST_M), "sizes": (self.boxes.size_m, _LARGEST_M)}
@@ -166,7 +171,12 @@ class Annotation:
         return replace(self, boxes=boxes)
 
     def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "Annotation":
-        """The annotation in other coordinates: boxes, full boxes, footprints and the annotated region."""
+        """The annotation in other coordinates: boxes, full boxes, footprints and the annotated region.
+
+        Raises:
+            ConfigError: If it is no rigid motion.
+        """
+        check_rigid(target_T_frame, "Annotation.moved")
         unboxed = {
             name: value.transform(target_T_frame) if isinstance(value, Boxes | Footprints) else value
             for name, value in self.unboxed.items()

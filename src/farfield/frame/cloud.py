@@ -19,8 +19,10 @@ from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.files.point_times import OFFSET_COLUMN, PointTimeColumn, PointTimes, point_time_column
+from farfield.files.stand_ins import check_itself
+from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes, points_in_boxes
-from farfield.geometry.poses import transform_points
+from farfield.geometry.poses import check_rigid, transform_points
 from farfield.registry import display_html
 
 _PLACE = ("x_m", "y_m", "z_m")
@@ -35,11 +37,11 @@ _NEAREST_M = 1e4  # no sensor sees so far: clouds in millimetres begin nearer
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
-    """A point cloud with whatever columns its file had.
+class Cloud(Locked):
+    """A point cloud with whatever columns its file had; its arrays are read-only.
 
     Args:
-        points_m: x, y, z in metres, shape (n, 3); kept as float32.
+        points_m: x, y, z in metres from about the sensor, shape (n, 3); kept as float32.
         intensity: Return strength in [0, 1], shape (n,), kept as float32; None where it is not known, and for a radar,
             whose power or cross-section is a column of its own.
         extra: Further columns by name, each of shape (n,): ``ring``, ``time_ns``, ``power``, ``doppler_m_s``...
@@ -47,7 +49,8 @@ class Cloud:
             are left out.
 
     Raises:
-        ValueError: If columns differ in length, points have no three numbers or an intensity lies outside [0, 1].
+        ValueError: If columns differ in length, points have no three numbers, all of them lie beyond 10 km (those of
+            a map, which float32 holds to half a metre) or an intensity lies outside [0, 1].
     """
 
     points_m: Num[np.ndarray, "n 3"]
@@ -56,10 +59,19 @@ class Cloud:
     missing: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points_m", np.asarray(self.points_m, dtype=np.float32))
+        points_m = np.asarray(self.points_m)
+        object.__setattr__(self, "points_m", points_m.astype(np.float32, copy=False))
         if self.points_m.ndim != 2 or self.points_m.shape[1] != 3:
             raise ValueError(
                 f"Cloud.points_m: expected shape (n, 3), got {self.points_m.shape}; Cloud.of takes rows of more columns"
+            )
+        away_m = _beyond_any_sensor(points_m)
+        if away_m:
+            raise ValueError(
+                f"Cloud.points_m: expected metres from the sensor, got points of which the nearest lies "
+                f"{away_m:.4g} m away: "
+                "coordinates of a map (UTM, ECEF)? float32 holds them to "
+                f"{np.spacing(np.float32(np.abs(points_m).max())):.2g} m. Subtract where the sensor stood, in float64."
             )
         if self.intensity is not None:
             object.__setattr__(self, "intensity", np.asarray(self.intensity, dtype=np.float32))
@@ -71,6 +83,7 @@ class Cloud:
                 f"Cloud: expected intensities in [0, 1], got {self.intensity.min():g} to {self.intensity.max():g}; "
                 "scale them, or give a radar's power as a column of extra"
             )
+        self.lock()
 
     @classmethod
     def of(cls, rows: Shaped[np.ndarray, "n columns"]) -> "Cloud":
@@ -185,13 +198,32 @@ class Cloud:
         )
 
     def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Cloud":
-        """Move all points rigidly into another frame."""
+        """Move all points rigidly into another frame.
+
+        Raises:
+            ConfigError: If it is no rigid motion.
+            ValueError: If the points then lie beyond 10 km, as on a map.
+        """
+        check_rigid(target_T_source, "Cloud.transform")
         moved = transform_points(target_T_source, self.points_m.astype(np.float64)).astype(np.float32)
         return Cloud(moved, self.intensity, self.extra, self.missing)
 
     def in_boxes(self, boxes: Boxes, *, margin_m: float = 0.0) -> list[Int[np.ndarray, " _"]]:
         """Indices of the points inside each box, one array a box."""
         return points_in_boxes(self.points_m, boxes, margin_m=margin_m)
+
+
+def _beyond_any_sensor(points_m: Num[np.ndarray, "n 3"]) -> float:
+    """The distance of the nearest point, metres, where it is beyond what sensors see; 0 where it is not.
+
+    What stands at the origin is no return and does not count.
+    """
+    if not len(points_m) or max(points_m.max(), -points_m.min()) <= _NEAREST_M:  # not so for NaN: then it is looked at
+        return 0.0
+    range_m = np.linalg.norm(points_m.astype(np.float64), axis=1)
+    range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
+    nearest_m = float(range_m.min()) if len(range_m) else 0.0
+    return nearest_m if nearest_m > _NEAREST_M else 0.0
 
 
 def cache_path(source: Path, root: Path) -> Path:
@@ -469,6 +501,7 @@ def columns_shown(paths: Sequence[Path]) -> int | None:
 
 
 def _read_npy(path: Path) -> Shaped[np.ndarray, "..."]:
+    check_itself(path)
     try:
         rows = np.load(path, allow_pickle=False, mmap_mode="r")  # the header's size is checked against the file's
     except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:  # numpy parses a Python literal
@@ -488,6 +521,7 @@ def _read_npy(path: Path) -> Shaped[np.ndarray, "..."]:
 
 def xyz_columns(path: Path) -> int | None:
     """Columns of an ASCII cloud, three or more; None leaves it to the reader, which names what is wrong."""
+    check_itself(path)
     with path.open("rb") as handle:
         first = handle.read(_LINE_BYTES).partition(b"\n")[0].decode("ascii", errors="replace")
     count = len(first.replace(";", " ").replace(",", " ").split())

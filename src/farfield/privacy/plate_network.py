@@ -13,8 +13,10 @@ from safetensors.torch import load, save
 from torch import Tensor, nn
 from torch.nn import functional
 
+from farfield.detectors.soundness import unsound
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_bytes
+from farfield.files.safetensors import check_digest, with_digest
 
 STRIDE, SIDE = 4, 16
 MAX_BYTES = 1_000_000
@@ -78,27 +80,30 @@ def _doubled(values: Tensor) -> Tensor:
 
 
 def save_network(path: Path, network: PlateNetwork) -> None:
-    """Write a network's weights in half precision.
+    """Write a network's weights in half precision, with the digest of their file.
 
     Args:
         path: A ``.safetensors`` file.
         network: The network.
     """
     tensors = {name: value.detach().half().contiguous() for name, value in network.state_dict().items()}
-    write_bytes(path, save({name: value for name, value in tensors.items() if not name.endswith(_COUNTER)}))
+    written = {name: value for name, value in tensors.items() if not name.endswith(_COUNTER)}
+    write_bytes(path, with_digest(save(written)))
 
 
 def load_network(path: Path) -> tuple[PlateNetwork, str]:
     """A network in evaluation mode, and the SHA-256 of its file.
 
     Raises:
-        FileFormatError: If the file is too large, no safetensors file, or holds other tensors than the network has.
+        FileFormatError: If the file is too large, no safetensors file, changed since it was written, or holds other
+            tensors than the network has, or numbers that no training leaves.
     """
     data = read_bytes(path, max_bytes=MAX_BYTES)
     try:
         tensors = load(data)
     except SafetensorError as error:
         raise FileFormatError(path, where="header", expected="safetensors", got=str(error)) from error
+    check_digest(path, data)
     network = PlateNetwork()
     state = network.state_dict()
     expected = {name: tuple(value.shape) for name, value in state.items() if not name.endswith(_COUNTER)}
@@ -106,7 +111,7 @@ def load_network(path: Path) -> tuple[PlateNetwork, str]:
     if expected != shapes:
         odd = sorted(set(expected.items()) ^ set(shapes.items()))[0][0]
         raise FileFormatError(path, where=odd, expected=str(expected.get(odd)), got=str(shapes.get(odd)))
-    if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
-        raise FileFormatError(path, where="tensors", expected="finite numbers", got="infinite ones or NaN")
+    if (fault := unsound(tensors)) is not None:
+        raise FileFormatError(path, where=fault[0], expected="numbers as a training leaves them", got=fault[1])
     network.load_state_dict({**state, **{name: tensor.float() for name, tensor in tensors.items()}})
     return network.eval(), hashlib.sha256(data).hexdigest()

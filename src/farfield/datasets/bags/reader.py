@@ -70,10 +70,18 @@ class IndexedBag:
         stamp: Which stamps count.
         intensity_scale: Value that stands for full reflectance; None decides by some clouds of each topic.
         point_times: Unit of the points' times.
+        radars: Topics of radars; None decides by names and columns.
     """
 
-    def __init__(self, path: Path, stamp: str, intensity_scale: float | int | None, point_times: PointTimes) -> None:
-        self.bag, self.stamp = Bag(path), stamp
+    def __init__(
+        self,
+        path: Path,
+        stamp: str,
+        intensity_scale: float | int | None,
+        point_times: PointTimes,
+        radars: Sequence[str] | None = None,
+    ) -> None:
+        self.bag, self.stamp, self.radars = Bag(path), stamp, radars
         self.intensity_scale, self.point_times = intensity_scale, point_times
         self.transforms = Transforms(self.bag)
 
@@ -110,7 +118,7 @@ class IndexedBag:
             log_ns=log[order],
             repeat=repeat[order],
             frame_id=frame_id,
-            radar=is_radar(samples[0]) if samples else False,
+            radar=self._is_radar(topic, samples[0] if samples else {}),
             settings=self._settings(samples, float(np.median(steps[steps > 0])) if (steps > 0).any() else None),
         )
 
@@ -130,6 +138,15 @@ class IndexedBag:
                     times = columns[name][_has_place(columns)]
                     unit = PointTimeColumn(name, times, self.bag.path, None, period_ns).unit()
         return CloudSettings(intensity_scale=scale, point_times=self.point_times, usual_unit=unit, period_ns=period_ns)
+
+    def _is_radar(self, topic: Topic, columns: Columns) -> bool:
+        """Whether a cloud is a radar's: as is said, else by the topic's name, else by its columns."""
+        if self.radars is not None:
+            return bool({topic.name, our_name(topic.name)} & set(self.radars))
+        name = topic.name.lower()
+        if ("radar" in name) != ("lidar" in name):
+            return "radar" in name
+        return is_radar(columns)
 
 
 def our_name(topic: str) -> str:
@@ -154,6 +171,7 @@ class Bags(Dataset):
         intensity_max: The old name of intensity_scale.
         point_times: Unit of the points' times: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to leave the column as it is;
             ``auto`` decides by the sweeps' period.
+        radars: Topics of radars, ``("none",)`` for none; topics' names and columns decide unless given.
 
     Raises:
         DatasetError: If there is no bag with clouds.
@@ -173,6 +191,7 @@ class Bags(Dataset):
         intensity_scale: float | int | None = None,
         intensity_max: float | int | None = None,
         point_times: PointTimes = "auto",
+        radars: Sequence[str] | None = None,
     ) -> None:
         check_point_times(point_times)
         scale = intensity_max if intensity_scale is None else intensity_scale
@@ -183,15 +202,30 @@ class Bags(Dataset):
         self._bags = {path.stem if path.is_file() else path.resolve().name: path for path in paths}
         if len(self._bags) < len(paths):
             raise DatasetError(f"{root}: expected bags of different names")
-        self._recorded = {name: IndexedBag(path, stamp, scale, point_times) for name, path in self._bags.items()}
+        self._recorded = {
+            name: IndexedBag(path, stamp, scale, point_times, radars) for name, path in self._bags.items()
+        }
         self._clouds = {name: self._reference(name, cloud) for name in self._bags}
+        _check_radars(radars, [topic for bag in self._recorded.values() for topic in bag.clouds])
         counts = {name: 0 if topic is None else topic.size for name, topic in self._clouds.items()}
         if not sum(counts.values()):
-            held = sorted({t.name for r in self._recorded.values() for t in r.clouds}) or ["none"]
-            error = DatasetError if cloud is None else ConfigError
-            raise error(f"{root}: expected bags with clouds{'' if cloud is None else f' of {cloud}'}, found {held}")
+            raise self._no_clouds(cloud)
         self.sequences = tuple(name for name, count in counts.items() for _ in range(count))
         self.frame_ids = tuple(f"{number:06d}" for count in counts.values() for number in range(count))
+
+    def _no_clouds(self, cloud: str | None) -> DatasetError | ConfigError:
+        """What the bags hold instead of the clouds that were looked for."""
+        held = sorted({topic.name for bag in self._recorded.values() for topic in bag.clouds})
+        if cloud is not None:
+            return ConfigError(f"{self.root}: expected bags with clouds of {cloud}, found {', '.join(held) or 'none'}")
+        topics = {topic.name: topic for bag in self._recorded.values() for topic in bag.bag.topics}
+        shown = [f"{topic.name} ({topic.kind}, {topic.size} messages)" for topic in topics.values()]
+        listed = ", ".join(shown[:8]) + (f" and {len(shown) - 8} more" if len(shown) > 8 else "")
+        return DatasetError(
+            f"{self.root}: expected a topic of {CLOUD} with messages, found {listed or 'no topic at all'}. A driver's "
+            "own type is not read: record the topic that its converter publishes, such as velodyne_pointcloud's "
+            "/velodyne_points or Livox' driver with xfer_format 0, or write the clouds as .pcd into a folder."
+        )
 
     def _reference(self, name: str, cloud: str | None) -> Topic | None:
         """The reference cloud of a bag; without a name the one of most messages, lidars before radars by name."""
@@ -304,12 +338,35 @@ def load_image(bag: Bag, topic: str, log_ns: int, index: int) -> UInt8[np.ndarra
 
 # Point clouds of messages.
 
-RADAR = ("doppler", "velocity", "range_rate", "radial_speed", "rcs", "power", "snr", "v_r")
+SPEEDS = ("doppler", "velocity", "range_rate", "radial_speed", "v_r")
+CROSS_SECTIONS = ("rcs", "power", "snr")
+LIDAR = ("intensity", "reflectivity", "ring", "line", "channel", "laser", "ambient", "near_ir", "return")
+_MOST_RADAR_POINTS = 5_000
+"""More points a sweep than radars' point clouds have, with measures of a LiDAR beside the speed: an FMCW LiDAR."""
 
 
-def is_radar(names: Any) -> bool:
-    """Whether a cloud's columns are a radar's: a speed or a cross-section."""
-    return any(term in str(name).lower() for name in names for term in RADAR)
+def is_radar(columns: Columns) -> bool:
+    """Whether a cloud's columns are a radar's: a cross-section, or a speed that no FMCW LiDAR measured.
+
+    Such a LiDAR (Aeva, Aurora, Scantinel) measures speeds too, in many more points and with an intensity or a line.
+    """
+    if not (_has_column(columns, SPEEDS) or _has_column(columns, CROSS_SECTIONS)):
+        return False
+    points = max(map(len, columns.values()), default=0)
+    return not (points > _MOST_RADAR_POINTS and _has_column(columns, LIDAR))
+
+
+def _has_column(columns: Columns, terms: Sequence[str]) -> bool:
+    return any(term in str(name).lower() for name in columns for term in terms)
+
+
+def _check_radars(radars: Sequence[str] | None, topics: Sequence[Topic]) -> None:
+    """Refuse names of radars that no cloud of the bags has."""
+    names = {name for topic in topics for name in (topic.name, our_name(topic.name))}
+    unknown = [name for name in radars or () if name not in names and name != "none"]
+    if unknown and names:
+        listed = ", ".join(dict.fromkeys(topic.name for topic in topics))
+        raise ConfigError(f"radars: expected topics of clouds ({listed}) or none, got {unknown[0]!r}")
 
 
 def _has_place(columns: Columns) -> Bool[np.ndarray, " n"]:

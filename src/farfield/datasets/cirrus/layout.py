@@ -21,6 +21,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from farfield.errors import ConfigError, DatasetError, plain
+from farfield.files.atomic import read_bytes
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.vocabulary.classes import CIRRUS_CLASSES
 
@@ -159,7 +160,7 @@ def read_mapping(path: Path | str) -> Mapping:
         ConfigError: If it cannot be read, is no YAML, or has an unknown key or an impossible value.
     """
     try:
-        content = yaml.safe_load(Path(path).read_text("utf-8"))
+        content = yaml.safe_load(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
         return Mapping.model_validate({} if content is None else content)
     except ValidationError as error:
         raise ConfigError(f"{path}: {plain(error)}") from error
@@ -167,6 +168,7 @@ def read_mapping(path: Path | str) -> Mapping:
         raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
 
 
+_MAX_MAPPING_BYTES = 1 << 20
 KINDS = ("gaussian", "uniform", "camera", "labels")
 _NANOSECONDS = re.compile(r"\d{16,19}")
 

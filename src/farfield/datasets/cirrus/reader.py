@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from farfield.datasets.base import Dataset, Indices, all_known
-from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
+from farfield.datasets.calibration import CALIBRATION_NAMES, usable_cameras
 from farfield.datasets.cirrus.labels import RawLabels, annotation_from_labels, read_labels
 from farfield.datasets.cirrus.layout import (
     CirrusFiles,
@@ -268,9 +268,18 @@ class Cirrus(Dataset):
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
-        """Cameras by name; empty without a calibration file."""
-        path = self.calibration_file
-        return {} if path is None else read_calibration(path, inverse=self.mapping.calib.convention == "cam_to_lidar")
+        """Cameras by name; empty without a calibration file, or with one that cannot be used (:attr:`notes`)."""
+        return self._calibration[0]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What of the calibration cannot be used."""
+        return self._calibration[1]
+
+    @cached_property
+    def _calibration(self) -> tuple[dict[str, Camera], tuple[str, ...]]:
+        inverse = self.mapping.calib.convention == "cam_to_lidar"
+        return usable_cameras(self.calibration_file, inverse=inverse)
 
 
 def _conditions(raw: RawLabels | None) -> dict[str, str]:

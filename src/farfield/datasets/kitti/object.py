@@ -28,6 +28,7 @@ from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
 from farfield.files.point_times import PointTimes
+from farfield.files.stand_ins import check_itself
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import read_radar_rows
@@ -112,6 +113,7 @@ class Kitti(Dataset):
         for name in ("train", "val", "test"):
             path = self.root / "ImageSets" / f"{name}.txt"
             if path.is_file():
+                check_itself(path)
                 parts[name] = path.read_text("ascii").split()
         return parts or super().split_parts()
 
