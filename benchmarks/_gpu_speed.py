@@ -291,8 +291,8 @@ def _radar(site: Site, name: str) -> Iterator[Row]:
 
 def _process_mb(name: str, precision: str) -> float:
     """Peak memory of a process that detects, less what it held before it had a network."""
-    script = str(ROOT / "benchmarks" / "radar_detector_speed.py")
-    command = [sys.executable, script, "--peak", RADAR[name], "--precision", precision, "--threads", "1"]
+    script = str(ROOT / "benchmarks" / "detector_speed.py")
+    command = [sys.executable, script, "radar", "--child", "--peak", RADAR[name], "--precision", precision]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     peak = json.loads(done.stdout.splitlines()[-1])
     return float(peak["peak_mb"] - peak["before_mb"])

@@ -76,7 +76,7 @@ def test_the_whole_demo(tmp_path: Path) -> None:
         row = next(line for line in said.splitlines() if line.startswith(f"{name} ("))
         assert len(re.findall(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", row)) == 2, row
     subjects = re.sub(r"\s+", " ", said)
-    assert subjects.count("seen in training: not found, it learnt from other data") == 2
+    assert subjects.count("seen in training: not known") == 2
     assert "kradar" in subjects
     evaluation = Evaluation.load(out)
     assert set(evaluation.results) == {"radar", "os2-64"}

@@ -15,13 +15,13 @@ import pytest
 
 from farfield.cli import main
 from farfield.datasets import open_dataset
+from farfield.frame.provenance import SIMULATION_JOURNAL
 from farfield.simulation import simulate_frame
-from farfield.simulation.recording.frames import JOURNAL_NAME
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     """The data; the journal is that of one set of settings."""
-    files = [path for path in folder.rglob("*") if path.is_file() and path.name != JOURNAL_NAME]
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != SIMULATION_JOURNAL]
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
@@ -111,7 +111,7 @@ def test_full_disk_is_noticed_before_the_work(
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
     assert main(["simulate", "cirrus-sim-mini", str(tmp_path / "out")]) == 1
-    assert "GB are free" in capsys.readouterr().err
+    assert "are needed, 1.00 kB are free" in capsys.readouterr().err
 
 
 def test_frozen_split_is_compared_with_its_record(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -171,6 +171,22 @@ def test_the_sparse_detector_gives_the_same_boxes(rng):
         assert_same(got, boxes)
 
 
+def test_pointrcnn_gives_the_boxes_of_suppression_on_the_host(rng):
+    network = small_detector("pointrcnn", score_threshold=0.3).eval()
+    outputs = road(rng, network)
+    reference = network._proposal_reference(outputs.proposals, outputs.kinds)
+    boxes = network.refiner.decode(outputs.refinements, reference).double()
+    score, kind = torch.sigmoid(outputs.confidences).max(1)
+    first = 0
+    for got, count in zip(network.decode(outputs), outputs.proposal_lengths.tolist(), strict=True):
+        row = np.arange(first, first + count)[score[first : first + count].numpy() >= 0.3]
+        labels = np.array(network.config.class_names)[kind[row].numpy()]
+        expected = as_boxes(boxes[row].numpy(), score[row].double().numpy(), labels)
+        assert_same(got, expected[nms.rotated_nms(expected, iou_threshold=network.config.nms_iou)])
+        first += count
+    assert first > 20
+
+
 def test_no_box_is_no_box():
     none = torch.zeros(0, 7, dtype=torch.float64)
     boxes = nms.boxes_after_nms(none, none[:, 0], none[:, 0].long(), ["vehicle"], iou_threshold=0.1, limit=5)

@@ -197,6 +197,21 @@ def test_other_shapes_are_an_error_that_names_both(tmp_path, key, shape, message
         import_openpcdet(saved(tmp_path / "x.pth", state), settings=PILLARS)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("backbone_2d.blocks.0.1.weight", float("nan")),
+        ("dense_head.conv_box.bias", float("inf")),
+        ("backbone_2d.blocks.0.2.running_var", -1.0),
+    ],
+)
+def test_numbers_that_no_training_leaves_are_an_error_that_names_them(tmp_path, key, value):
+    state = their.pillar_weights()
+    state[key].view(-1)[0] = value
+    with pytest.raises(ConfigError, match=rf"{key}: expected numbers as a training leaves them, got {value:g}"):
+        import_openpcdet(saved(tmp_path / "x.pth", state), settings=PILLARS)
+
+
 def test_other_inputs_of_second_are_an_error(tmp_path):
     state = their.second_weights()
     state["backbone_3d.conv_input.0.weight"] = torch.zeros(3, 3, 3, 5, 6)

@@ -97,6 +97,15 @@ def test_ball_query_equals_all_distances(rng, radii, limits, monkeypatch):
         assert group.centres == 72
 
 
+def test_the_distances_of_all_pairs_give_the_same_groups(rng):
+    points, centres, reach = road(rng, 300), road(rng, 40), {"radii_m": (0.01, 0.5, 8.0), "limits": (2, 4, 1000)}
+    expected = ops.ball_query(points, [300], centres, [40], **reach)
+    for got, group in zip(ops.all_within(points, centres, *reach.values()), expected, strict=True):
+        assert torch.equal(got.centre, group.centre)
+        assert torch.equal(got.point, group.point)
+        assert got.centres == group.centres == 40
+
+
 def test_ball_query_finds_points_on_the_sphere():
     points = torch.tensor([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0.9, 0.9, 0]])
     group = ops.ball_query(points, [6], torch.zeros(1, 3), [1], radii_m=[1.0], limits=[10])[0]

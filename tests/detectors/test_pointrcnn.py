@@ -282,7 +282,7 @@ def test_proposals_beyond_80_m_are_kept_beside_many_near_ones(rng):
     assert (place[row, 0] > 80).sum() == 15
     assert (score[row].diff() <= 0).all()
     boxes = torch.cat([place[row], torch.full((200, 3), 0.2), torch.zeros(200, 1)], 1)
-    kept = keep_proposals(boxes, score[row], config, training=False)
+    kept = keep_proposals(boxes, config, training=False)
     assert len(kept) == 40
     assert (boxes[kept, 0] > 80).sum() >= 6  # at least the share of the last band
 

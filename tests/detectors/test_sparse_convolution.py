@@ -336,3 +336,16 @@ def test_gpu_gives_what_the_cpu_gives(triton, monkeypatch):
         results.append([out, features.grad, *(parameter.grad for parameter in network.parameters())])
     for expected, got in zip(*results, strict=True):
         torch.testing.assert_close(got.cpu(), expected, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16])
+def test_a_kernel_of_one_cell_is_a_product_of_rows(dtype):
+    sparse, layer = random_sparse(dtype=dtype), SubmanifoldConv(5, 7, (1, 1, 1), bias=True).to(dtype)
+    added = torch.randn(len(sparse.keys), 7).to(dtype)
+    book = submanifold_rulebook(sparse.keys, SHAPE, (1, 1, 1))
+    with torch.no_grad():
+        got = layer(sparse, True, added)
+        expected = layers.sparse_conv(sparse.features, layer.weight, book, layer.bias, True, added)
+    assert torch.equal(got.features, expected)
+    assert got.keys is sparse.keys
+    assert not got.rulebooks

@@ -9,7 +9,8 @@ from small import batch_of, cloud_of, losses_of, targets_of
 from farfield.detectors import build_detector
 from farfield.detectors.config import VoxelGridConfig
 from farfield.detectors.runtime import Detector
-from farfield.detectors.sparse import SparseTensor
+from farfield.detectors.sparse import FLAT, SparseTensor
+from farfield.detectors.sparse.tables import submanifold_book
 from farfield.detectors.sparsecentre.head import (
     BoxTensors,
     CentreTargets,
@@ -25,6 +26,7 @@ from farfield.detectors.sparsecentre.network import (
     SparseCentre,
     SparseCentreConfig,
     SparsePyramid,
+    flat_keys,
     means_at,
     merge_heights,
 )
@@ -171,6 +173,22 @@ def test_sparse_peaks_equal_a_dense_maximum(rng):
         pooled = torch.nn.functional.max_pool2d(dense, 2 * reach + 1, 1, reach)[frame, :, ix, iy]
         assert torch.equal(found, sparse.features == pooled)
         assert 0 < found.sum() < found.numel()
+
+
+def test_peaks_are_the_same_by_a_table_that_is_at_hand(rng):
+    sparse = random_map(rng, channels=3, cells=900)
+    table = submanifold_book(sparse.keys, MAP, FLAT).table
+    expected = peaks(sparse.features, sparse.keys, MAP[1:], 1)
+    assert torch.equal(peaks(sparse.features, sparse.keys, MAP[1:], 1, table), expected)
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+@pytest.mark.parametrize("stride", [1, 4])
+def test_columns_are_those_of_the_places(rng, frames, stride):
+    sparse = random_map(rng, shape=(6, 8, 12), cells=400, frames=frames)
+    frame, _, ix, iy = sparse.indices().unbind(1)
+    expected = (frame * (8 // stride) + ix // stride) * (12 // stride) + iy // stride
+    assert torch.equal(flat_keys(sparse, stride), expected)
 
 
 def test_heights_are_summed_as_in_the_dense_grid(rng):

@@ -4,13 +4,18 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+from safetensors import safe_open
+from safetensors.torch import save
+
 from farfield.detectors import DETECTORS, build_detector
-from farfield.detectors.weights import load_weights, save_weights
-from farfield.errors import FileFormatError
+from farfield.detectors.runtime import Detector
+from farfield.detectors.weights import bundled_weights, load_weights, save_weights
+from farfield.errors import ConfigError, FarfieldError, FileFormatError
 
 GRID = {"range_m": 16.0, "half_width_m": 8.0, "cell_m": 0.5}
 
@@ -59,3 +64,132 @@ def test_lengths_of_a_configuration_are_bounded(tmp_path: Path, path: str, value
     save_tiny(tmp_path / "w.safetensors", change)
     with pytest.raises(FileFormatError, match=path.split(".")[0]):
         load_weights(tmp_path / "w.safetensors")
+
+
+def test_a_flipped_bit_anywhere_is_refused(tmp_path: Path) -> None:
+    """Header, configuration, provenance, digest and numbers: the file carries a digest of all its bytes."""
+    data = save_tiny(tmp_path / "w.safetensors")
+    end = 8 + int.from_bytes(data[:8], "little")
+    rng = np.random.default_rng(58)
+    places = [*rng.integers(0, end, 60).tolist(), *rng.integers(end, len(data), 140).tolist()]
+    accepted = []
+    for number in places:
+        damaged = bytearray(data)
+        damaged[number] ^= 1 << int(rng.integers(8))
+        (tmp_path / "damaged.safetensors").write_bytes(damaged)
+        try:
+            load_weights(tmp_path / "damaged.safetensors")
+        except FileFormatError:
+            continue
+        accepted.append(number)
+    assert not accepted, f"{len(accepted)} of {len(places)} files with one flipped bit are accepted"
+
+
+@pytest.mark.parametrize("name", sorted(bundled_weights()))
+def test_what_ships_carries_its_digest(tmp_path: Path, name: str) -> None:
+    data = bytearray(bundled_weights()[name].read_bytes())
+    load_weights(bundled_weights()[name])
+    data[-1000] ^= 1
+    (tmp_path / "w.safetensors").write_bytes(data)
+    with pytest.raises(FileFormatError, match="digest"):
+        load_weights(tmp_path / "w.safetensors")
+
+
+def without_digest(path: Path, tensors: dict[str, Any]) -> Path:
+    """A file as earlier versions wrote it, with other tensors."""
+    with safe_open(path, framework="pt") as file:
+        metadata = {name: text for name, text in file.metadata().items() if name != "sha256"}
+        own = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+    path.write_bytes(save({**own, **tensors}, metadata=metadata))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("suffix", "value"),
+    [
+        (".weight", float("nan")),
+        (".bias", float("inf")),
+        (".weight", 1e36),
+        (".running_var", -1.0),
+        (".running_var", float("nan")),
+        (".num_batches_tracked", -(1 << 60)),
+    ],
+)
+def test_numbers_that_no_training_leaves_are_refused(tmp_path: Path, suffix: str, value: float) -> None:
+    """Of files without a digest, as earlier versions wrote them, too."""
+    save_tiny(tmp_path / "w.safetensors")
+    with pytest.warns(UserWarning, match=r"w\.safetensors: .* carry no digest"):
+        state = load_weights(without_digest(tmp_path / "w.safetensors", {}))[0].state_dict()
+    name = next(name for name in state if name.endswith(suffix))
+    changed = state[name].clone()
+    changed.view(-1)[0] = value
+    with pytest.raises(FileFormatError, match=name.replace(".", r"\.")):
+        load_weights(without_digest(tmp_path / "w.safetensors", {name: changed}))
+    config = DETECTORS["pointpillars"].config_class(grid=GRID)
+    with pytest.raises(FarfieldError, match=name.replace(".", r"\.")):
+        save_weights(tmp_path / "other.safetensors", {**state, name: changed}, config=config, provenance={})
+    assert not (tmp_path / "other.safetensors").exists()
+
+
+def test_numbers_of_another_type_are_refused(tmp_path: Path) -> None:
+    save_tiny(tmp_path / "w.safetensors")
+    state = load_weights(tmp_path / "w.safetensors")[0].state_dict()
+    name = next(name for name in state if name.endswith(".weight"))
+    with pytest.raises(FileFormatError, match="int32"):
+        load_weights(without_digest(tmp_path / "w.safetensors", {name: state[name].view(torch.int32)}))
+
+
+def test_a_network_in_memory_is_checked_too() -> None:
+    network = build_detector(DETECTORS["pointpillars"].config_class(grid=GRID), seed=0)
+    next(network.parameters()).data[0] = float("nan")
+    with pytest.raises(ConfigError, match=r"finite in fp32, got nan"):
+        Detector(network, precision="fp32", device="cpu")
+
+
+def test_what_a_network_cannot_compute_is_not_nothing() -> None:
+    """Finite weights whose sums overflow, as float16's may, gave NaN for scores and so no box."""
+    network = build_detector(DETECTORS["pointpillars"].config_class(grid=GRID), seed=0).eval()
+    for parameter in network.parameters():
+        parameter.data.mul_(1e9)
+    name, source = next(iter(network.inputs.items()))
+    points = torch.rand(500, len(source.columns)) * 8
+    with pytest.raises(FarfieldError, match="not a number"):
+        network.predict({name: [points]})
+
+
+@pytest.mark.parametrize(
+    "provenance",
+    [
+        [],
+        {"experiment": "own"},
+        {"experiment": None},
+        {"experiment": {"data": 7}},
+        {"experiment": {"data": {"source": 7}}},
+        {"experiment": {"data": {"path": 7}}},
+        {"experiment": {"data": {"path": "x", "clouds": 7}}},
+        {"experiment": {"data": {"path": "x", "simulate": "cirrus-sim"}}},
+        {"streams": ["labelled"]},
+        {"streams": {"labelled": "x"}},
+        {"streams": {"labelled": {"frame_digests": ["npy:0"]}}},
+        {"start": "x"},
+        {"start": {"weights": 7}},
+        {"adapted": {"start_frame_digests": 7}},
+        {"environment": "x"},
+        {"frames": "many"},
+    ],
+)
+def test_a_provenance_that_its_readers_do_not_understand_is_refused(tmp_path: Path, provenance: Any) -> None:
+    """It raised KeyError, AttributeError or StopIteration where it was said what a detector learnt from."""
+    save_tiny(tmp_path / "w.safetensors")
+    with safe_open(tmp_path / "w.safetensors", framework="pt") as file:
+        metadata = {name: text for name, text in file.metadata().items() if name != "sha256"}
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+    (tmp_path / "w.safetensors").write_bytes(save(tensors, metadata={**metadata, "provenance": json.dumps(provenance)}))
+    with pytest.raises(FileFormatError, match=r"w\.safetensors, provenance"):
+        load_weights(tmp_path / "w.safetensors")
+    if not isinstance(provenance, dict):
+        return
+    config = DETECTORS["pointpillars"].config_class(grid=GRID)
+    with pytest.raises(FarfieldError, match="provenance"):
+        save_weights(tmp_path / "new.safetensors", tensors, config=config, provenance=provenance)
+    assert not (tmp_path / "new.safetensors").exists()

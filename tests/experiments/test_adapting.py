@@ -384,3 +384,13 @@ def test_a_killed_adaptation_goes_on_to_the_same_weights(start: Path, simulated_
     subprocess.run(command["cut"], env=environment, check=True, capture_output=True, timeout=300)
     one, other = (tensors_of(tmp_path / name / "weights.safetensors") for name in ("whole", "cut"))
     assert all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_minutes_that_cannot_suffice_are_refused_before_the_work(
+    start: Path, simulated_cirrus: Path, tmp_path: Path
+) -> None:
+    """It simulated the source and searched both data sets first, which took 98 s."""
+    out = tmp_path / "out"
+    with pytest.raises(ConfigError, match=r"--minutes: expected enough .*about .* minutes.*; got 0\.001.*--frames"):
+        ff.adapt(start, simulated_cirrus, out=out, **{**TINY, "minutes": 0.001})
+    assert not out.exists()

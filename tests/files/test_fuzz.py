@@ -1,4 +1,4 @@
-"""Damaged files give a clear error or a valid result. The benchmark of the same name does it 20,000 times a reader."""
+"""Damaged files give a clear error or a valid result. The benchmark of the same name tries 20,000 files a reader."""
 
 import importlib.util
 import subprocess
@@ -12,18 +12,29 @@ import numpy as np
 import pytest
 
 SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz_readers.py"
+WEIGHTS = (
+    "weights",
+    "older weights",
+    "weights' record",
+    "checkpoint",
+    "older checkpoint",
+    "best score",
+    "training log",
+)
 READERS = (
     *("xyz", "pcd", "velodyne bin", "ffcloud", "images", "upright images", "depth png"),
     *("kitti calib", "kitti label", "kitti tracking"),
     *("kitti detections", "boxes csv", "cirrus json"),
     *("openlabel", "sustechpoints", "datumaro", "supervisely", "tracklets"),
-    *("mat", "mat in blocks", "npy", "kradar sparse npy"),
+    *("mat", "mat in blocks", "npy"),
     *("kradar labels", "kradar times", "kradar description", "kradar calib", "kradar camera", "kradar odometry"),
     *("kradar gt_rel", "kradar gps", "kradar imu", "kradar local", "kradar split", "kradar record", "radar cells"),
     *("radar cells sealed", "delft poses", "delft labels", "astyx points", "astyx objects", "astyx sensors"),
     *("radiate times", "radiate tracks", "stamps", "clock logs"),
     *(("films",) if importlib.util.find_spec("av") else ()),
     *(("bag.mcap", "bag.db3") if importlib.util.find_spec("rosbags") else ()),
+    *("cloud pcd", "cloud ffcloud", "cloud npy", "cloud rows npy", "kradar lidar pcd", "kradar sparse npy"),
+    *(WEIGHTS if importlib.util.find_spec("torch") else ()),
 )
 
 
@@ -69,10 +80,10 @@ def test_the_fuzzer_notices_what_it_is_there_for(fuzzer: ModuleType, tmp_path: P
 
 @pytest.mark.slow
 @pytest.mark.parametrize("reader", READERS)
-def test_twenty_thousand_damaged_files_a_reader(tmp_path: Path, reader: str) -> None:
+def test_two_thousand_damaged_files_a_reader(tmp_path: Path, reader: str) -> None:
     """In a process of its own, whose memory is limited, as the script does with one reader after the other."""
-    command = [sys.executable, str(SCRIPT), "--only", reader, "--files", "20000"]
+    command = [sys.executable, str(SCRIPT), "--only", reader, "--files", "2000"]
     command += ["--output", str(tmp_path / "table.txt"), "--keep", str(tmp_path / "faults")]
     finished = subprocess.run(command, capture_output=True, text=True, check=False)
     assert finished.returncode == 0, finished.stdout + finished.stderr
-    assert f"\n{reader:20}{20000:8}" in finished.stdout
+    assert f"\n{reader:20}{2000:8}" in finished.stdout

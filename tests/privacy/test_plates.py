@@ -208,6 +208,16 @@ def test_damaged_weights_are_refused(tmp_path: Path, damage: str) -> None:
         load_networks(path)
 
 
+def test_a_flipped_bit_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    save_networks(path, PlateNetwork(), PlateJudge())
+    data = bytearray(path.read_bytes())
+    data[-100] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(FileFormatError, match="digest"):
+        load_networks(path)
+
+
 def test_missing_weights_are_said_in_words(tmp_path: Path, monkeypatch) -> None:
     with pytest.raises(FarfieldError, match=r"expected the plate networks' weights"):
         PlateDetector(weights=tmp_path / "none.safetensors")

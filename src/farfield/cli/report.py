@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, JobFlags, Jobs
+from farfield.cli._flags import ALL_CORES, BY_THE_NUMBERS, Clouds, JobFlags, Jobs
 from farfield.vocabulary.scores import SHOWN_SCORE
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
 
 
 def run(
@@ -23,6 +26,7 @@ def run(
     frames: int = 0,
     reach_m: float = 100.0,
     rate_hz: float = 0.0,
+    reading: Clouds = BY_THE_NUMBERS,
     jobs: Jobs = ALL_CORES,
 ) -> int:
     """Turn an evaluation or a training into one self-contained HTML page, or a drive of a data set into a film.
@@ -52,14 +56,16 @@ def run(
         frames: Only so many frames from its beginning; 0: all.
         reach_m: How far ahead the film's views from above show.
         rate_hz: Frames a second; 0 takes the drive's own.
+        reading: How the film's cloud files are read.
         jobs: Who does the work.
     """
     if film is not None:
         boxes = None if predictions is None else (predictions, format)
-        return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
+        return _film(reading.open(evaluation), film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
     from farfield.errors import ConfigError
     from farfield.evaluation.record import EVALUATION, Evaluation
     from farfield.experiments.course import course_of, is_run
+    from farfield.files.sizes import sized
     from farfield.pages.evaluation_page import write_report
 
     if not evaluation.exists():
@@ -71,12 +77,12 @@ def run(
     if out is None:
         out = evaluation / "report.html" if evaluation.is_dir() else evaluation.with_suffix(".html")
     path = write_report(out, replace(content, title=title or content.title), shown_score=shown_score)
-    print(f"report: {path.resolve()} ({path.stat().st_size / 1e6:.1f} MB)")
+    print(f"report: {path.resolve()} ({sized(path.stat().st_size)})")
     return 0
 
 
 def _film(
-    root: Path,
+    opened: "Dataset",
     film: Path,
     predictions: tuple[Path, str] | None,
     drive: str,
@@ -84,13 +90,13 @@ def _film(
     shown: tuple[float, float, float],
     jobs: JobFlags,
 ) -> int:
-    from farfield.datasets import open_dataset
     from farfield.evaluation import in_coordinates
+    from farfield.files.sizes import sized
     from farfield.metrics.box_files import read_predictions
     from farfield.pages.film import FilmSettings, drive_named, make_film
 
     predicted = None if predictions is None else read_predictions(predictions[0], format=predictions[1])
-    data = in_coordinates(open_dataset(root), "" if predicted is None else predicted.reference)
+    data = in_coordinates(opened, "" if predicted is None else predicted.reference)
     drive_shown = drive_named(data, drive)
     if frames:
         data = data.select([int(index) for index in drive_shown.indices[:frames]])
@@ -103,5 +109,5 @@ def _film(
         settings=FilmSettings(reach_m=reach_m, rate_hz=rate_hz, score=score),
         bulk=jobs.options("drawing"),
     )
-    print(f"film: {film.resolve()} ({count} frames, {film.stat().st_size / 1e6:.1f} MB)")
+    print(f"film: {film.resolve()} ({count} frames, {sized(film.stat().st_size)})")
     return 0

@@ -70,6 +70,9 @@ def _following(folder: Path, settings: "Experiment") -> str:
     """The command that evaluates the run: on the part of its data that it does not learn from, where they are split."""
     data = settings.data if not isinstance(settings.data, Mapping) else next(iter(settings.data.values()))
     words = ["farfield", "evaluate", str(folder), str(data.path)]
+    validation = settings.training.validation
+    if validation is not None and validation.split:
+        return shlex.join([*words, "--split", validation.split])
     if data.split in ("train", "time-train"):
         return shlex.join([*words, "--split", data.split.replace("train", "val")])
     return f"{shlex.join(words)}  # these are the frames that it learnt from; others say more"

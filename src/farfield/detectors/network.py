@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from farfield.detectors.config import DetectorConfig
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import CloudInput
+from farfield.detectors.soundness import has_nan
 from farfield.detectors.spec import DETECTORS
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FarfieldError
 from farfield.geometry.boxes import Boxes
 
 FIXED = (
@@ -132,8 +133,18 @@ class Network(nn.Module, ABC):
     @final
     @torch.no_grad()
     def predict(self, batch: Mapping[str, list[Tensor]]) -> list[Boxes]:
-        """Detect: scored boxes of each frame of a batch, best first."""
-        return self.decode(self(batch))
+        """Detect: scored boxes of each frame of a batch, best first.
+
+        Raises:
+            FarfieldError: If the outputs hold NaN: of damaged weights, or sums that the number type does not hold.
+        """
+        outputs = self(batch)
+        if has_nan(outputs):
+            raise FarfieldError(
+                f"{self.config.name}: expected scores, got what is not a number: weights are damaged, a cloud holds "
+                "absurd values, or the number type overflows. Take precision fp32, or other weights."
+            )
+        return self.decode(outputs)
 
 
 class MapDetector(Network):

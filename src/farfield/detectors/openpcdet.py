@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from farfield.detectors.network import Network, build_detector
+from farfield.detectors.soundness import unsound
 from farfield.detectors.spec import DETECTORS
 from farfield.errors import ConfigError, FarfieldError, FileFormatError, fault_of
 
@@ -126,7 +127,8 @@ def import_openpcdet(
 
     Raises:
         FileFormatError: If the file is no checkpoint, or holds more than tensors and plain values.
-        ConfigError: If keys are missing, unknown or of another shape, or the settings do not fit.
+        ConfigError: If keys are missing, unknown or of another shape, if a number is not finite or none that a training
+            leaves, or the settings do not fit.
     """
     state = read_checkpoint(path)
     kind = kind or _recognise(path, state)
@@ -142,6 +144,8 @@ def import_openpcdet(
     problems = [f"  missing: {key}" for key in missing]
     problems += [f"  unknown: {key}" for key in unknown if not allow_unknown]
     ours = {} if missing else {rule.ours: rule.convert(*(state[key] for key in rule.theirs)) for rule in plan}
+    fault = unsound({name: tensor for name, tensor in state.items() if name in used})
+    problems += [] if fault is None else [f"  {fault[0]}: expected numbers as a training leaves them, got {fault[1]}"]
     problems += [
         _misfit(rule, ours[rule.ours], expected[rule.ours])
         for rule in plan

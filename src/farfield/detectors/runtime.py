@@ -21,6 +21,7 @@ from farfield.detectors.info import DetectorInfo
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.layers import fold_batch_norm
 from farfield.detectors.network import FIXED, Network, build_detector
+from farfield.detectors.soundness import unsound
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError, plain
 from farfield.frame import Cloud, Frame
@@ -188,6 +189,11 @@ class Detector:
             network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch lacks it
         for name in network.low_precision if self.precision != "fp32" else ():
             network.get_submodule(name).to(DTYPES[self.precision])
+        if (fault := unsound(network.state_dict())) is not None:
+            raise ConfigError(
+                f"{self._name or network.config.name}: expected weights that are finite in {self.precision}, got "
+                f"{fault[1]} of {fault[0]}: it would detect nothing. Take other weights, or precision fp32."
+            )
         self.network = network
 
     @classmethod

@@ -1,21 +1,31 @@
-"""Trained weights as safetensors files: tensors, and beside them everything needed to rebuild and to trust them."""
+"""Trained weights as safetensors files: tensors, and beside them everything needed to rebuild and to trust them.
+
+A file carries the SHA-256 of all its bytes (:mod:`farfield.files.safetensors`). Files of earlier versions carry none:
+what they hold is checked as far as numbers and shapes tell, and a warning says so.
+"""
 
 import json
+import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from pydantic import BaseModel, ConfigDict
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor
 
 from farfield.detectors.network import Network, build_detector
+from farfield.detectors.soundness import unlike, unsound
 from farfield.detectors.spec import DETECTORS
 from farfield.errors import FarfieldError, FileFormatError, plain
-from farfield.files.atomic import write_bytes
+from farfield.files.atomic import read_bytes, write_bytes
+from farfield.files.safetensors import KEY, check_digest, metadata_of, with_digest
 
-_MAX_METADATA_BYTES = 4_000_000
+_MAX_BYTES = 1 << 32
+_MAX_METADATA_BYTES = 32_000_000  # a digest of each frame that was learnt from is 13 bytes
+_KEYS = {"format", "config", "provenance"}
 
 
 def save_weights(
@@ -29,7 +39,12 @@ def save_weights(
         config: The detector's configuration object.
         provenance: Seed, versions, commit, data fingerprint, metric convention, resolved experiment.
         half: Store matrices and kernels in float16, at half the size; vectors stay as they are.
+
+    Raises:
+        FarfieldError: If a number is not finite, or none that a training leaves, or if the provenance could not be read
+            again; nothing is written.
     """
+    _provenance_of(path, json.dumps(provenance))
     metadata = {
         "format": "farfield-detector-1",
         "config": config.model_dump_json(),
@@ -38,21 +53,12 @@ def save_weights(
     tensors = {name: tensor.detach().to("cpu").contiguous().clone() for name, tensor in state.items()}
     if half:
         tensors = {name: t.half() if t.ndim > 1 and t.is_floating_point() else t for name, t in tensors.items()}
-    write_bytes(path, _in_order(save(tensors, metadata=metadata)))
-
-
-def _in_order(data: bytes) -> bytes:
-    """The same file with its metadata in the order of their names: safetensors writes them as its hash table has them.
-
-    A file is the length of its header (8 bytes, little-endian), the header in JSON, padded by blanks to a multiple of
-    8 bytes, and the tensors, whose places count from the header's end (safetensors, "Format").
-    """
-    end = 8 + int.from_bytes(data[:8], "little")
-    header = json.loads(data[8:end])
-    header = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
-    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + data[end:]
+    if (fault := unsound(tensors)) is not None:
+        raise FarfieldError(
+            f"{path}: expected finite weights to write, found {fault[1]} of {fault[0]}. The training went astray: go "
+            "on from an earlier state with a lower training.learning_rate. Nothing was written."
+        )
+    write_bytes(path, with_digest(save(tensors, metadata=metadata)))
 
 
 def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
@@ -62,29 +68,29 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         The network in evaluation mode on the CPU, and the provenance of its training.
 
     Raises:
-        FileFormatError: If the file is not one of ours, does not fit the network that it describes, or describes a
-            detector that is not installed.
+        FileFormatError: If the file is not one of ours, changed since it was written, holds numbers that no training
+            leaves, does not fit the network that it describes, or describes a detector that is not installed.
     """
     if not path.is_file():
         raise FarfieldError(f"{path}: expected a weights file, found nothing. Train one with: farfield train")
+    data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
-    except SafetensorError as error:
-        raise FileFormatError(path, where="header", expected="safetensors", got=str(error)) from error
-    tensors = {name: t.float() if t.dtype == torch.float16 else t for name, t in tensors.items()}
-    is_ours = metadata.get("format") == "farfield-detector-1" and {"config", "provenance"} <= set(metadata)
+        tensors, metadata = load(data), metadata_of(path, data)
+    except (SafetensorError, ValueError, TypeError, KeyError, AssertionError, RuntimeError) as error:
+        raise FileFormatError(path, where="header", expected="safetensors", got=plain(error)[:300]) from error
+    is_ours = metadata.get("format") == "farfield-detector-1" and set(metadata) in (_KEYS, {*_KEYS, KEY})
     if not is_ours or sum(map(len, metadata.values())) > _MAX_METADATA_BYTES:
         raise FileFormatError(
             path,
             where="metadata",
             expected="format farfield-detector-1",
-            got=repr(metadata.get("format")),
+            got=f"{metadata.get('format')!r} with {', '.join(sorted(metadata)) or 'nothing'}"[:300],
             fix="Weights of other codebases need an import first.",
         )
+    check_digest(path, data)
+    del data  # the tensors are copies
     try:
-        described, provenance = json.loads(metadata["config"]), json.loads(metadata["provenance"])
+        described, provenance = json.loads(metadata["config"]), _provenance_of(path, metadata["provenance"])
         name = str(described["name"])
         if name not in DETECTORS:
             raise FileFormatError(
@@ -97,14 +103,87 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         config = DETECTORS[name].config_class.model_validate(described)
         with torch.device("meta"):  # shapes only: nothing is allocated on the word of the file
             network = build_detector(config)
+        tensors = {name: t.float() if t.dtype == torch.float16 else t for name, t in tensors.items()}
+        if (misfit := unlike(tensors, network.state_dict())) is not None:
+            raise FileFormatError(path, where=misfit[0], expected=misfit[1], got=misfit[2])
+        if (fault := unsound(tensors)) is not None:
+            fix = "The file is damaged, or its training went astray: copy it anew, or take earlier weights."
+            expected = "numbers as a training leaves them"
+            raise FileFormatError(path, where=fault[0], expected=expected, got=fault[1], fix=fix)
         network.load_state_dict(tensors, assign=True)
     except FileFormatError:
         raise
-    except (ValueError, KeyError, TypeError, RuntimeError, FarfieldError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, RuntimeError, FarfieldError) as error:
         raise FileFormatError(
             path, where="configuration and tensors", expected="those of one detector", got=plain(error)[:300]
         ) from error
+    if KEY not in metadata:
+        warnings.warn(
+            f"{path}: these weights are of an earlier version and carry no digest: their numbers are possible, and "
+            "whether a bit of them changed cannot be told. Train, adapt or import them anew for one.",
+            stacklevel=2,
+        )
     return network.eval(), provenance
+
+
+class _Record(BaseModel):
+    """What of a provenance is read by name; there may be more."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+
+
+class _Stream(_Record):
+    data_fingerprint: str | None = None
+    frames: int | None = None
+    recipe: dict[str, Any] | None = None
+    frame_digests: str | None = None
+
+
+class _Simulated(_Record):
+    preset: str
+    seed: int = 0
+
+
+class _Data(_Record):
+    path: str
+    clouds: list[str] | dict[str, list[str]] = []
+    simulate: _Simulated | None = None
+    options: dict[str, Any] = {}
+
+
+class _Experiment(_Record):
+    name: str = ""
+    data: _Data | dict[str, _Data] = {}
+    training: dict[str, Any] = {}
+    method: dict[str, Any] = {}
+
+
+class _Start(_Record):
+    weights: str = ""
+    frame_digests: str | None = None
+
+
+class _Adapted(_Record):
+    start_frame_digests: str | None = None
+
+
+class _Provenance(_Stream):
+    experiment: _Experiment = _Experiment()
+    streams: dict[str, _Stream] = {}
+    start: _Start = _Start()
+    adapted: _Adapted = _Adapted()
+    environment: dict[str, Any] = {}
+    stream: str = ""
+
+
+def _provenance_of(path: Path, text: str) -> dict[str, Any]:
+    try:
+        provenance: dict[str, Any] = json.loads(text)
+        _Provenance.model_validate(provenance)
+    except (ValueError, RecursionError) as error:
+        expected = "the record of a training, as JSON"
+        raise FileFormatError(path, where="provenance", expected=expected, got=plain(error)[:300]) from error
+    return provenance
 
 
 def bundled_weights() -> dict[str, Path]:

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from farfield.errors.wording import EXTRAS, advice, fault_of, plain
+from farfield.errors.wording import EXTRAS, advice, fault_of, plain, torch_note
 
 __all__ = [
     "EXTRAS",
@@ -73,7 +73,7 @@ class MissingExtraError(FarfieldError, ImportError):
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         self.needed = (package, extra, purpose)
-        super().__init__(f"{purpose} needs {package}. Install it with: {advice(extra)}")
+        super().__init__(f"{purpose} needs {package}. Install it with: {advice(extra)}{torch_note(package)}")
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         return MissingExtraError, self.needed

@@ -1,5 +1,6 @@
 """Errors of Python, json, yaml and pydantic in plain words."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -141,6 +142,23 @@ def advice(extra: str) -> str:
         return f"{pip} -e {_quoted(f'{folder}[{extra}]')}"
     packages = _requirements(extra) if way == "file" else []
     return " ".join([pip, *map(_quoted, packages or [f"farfield[{extra}]"])])
+
+
+def torch_note(package: str) -> str:
+    """Which torch suits a Linux machine without a GPU: plain pip takes 4.6 GB of CUDA there. Empty for others."""
+    if package != "torch" or not sys.platform.startswith("linux") or has_nvidia_gpu():
+        return ""
+    return (
+        ". This machine shows no NVIDIA GPU: install torch's CPU build before it (0.7 GB), from the index that "
+        "PyTorch's own page names; else pip takes the build with CUDA (4.6 GB)"
+    )
+
+
+def has_nvidia_gpu() -> bool:
+    """Whether the driver of an NVIDIA GPU is there, as far as can be told without torch."""
+    from shutil import which
+
+    return Path("/proc/driver/nvidia/version").exists() or which("nvidia-smi") is not None
 
 
 def _quoted(words: str) -> str:

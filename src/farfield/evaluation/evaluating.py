@@ -190,21 +190,31 @@ def frame_view(frame: Frame, predictions: Mapping[str, Mapping[Key, Boxes]], *, 
 
 
 def training_text(provenance: Mapping[str, Any]) -> str:
-    """One phrase on what a detector learnt from; empty where nothing is known."""
+    """One phrase on what a detector learnt from, each stream by its own data; empty where nothing is known."""
     experiment = provenance.get("experiment")
-    if not experiment:
+    if not experiment or not experiment.get("data") or not experiment.get("training"):
         return ""
-    data = experiment["data"] if "path" in experiment["data"] else next(iter(experiment["data"].values()))
-    simulation = data.get("simulate")
-    clouds = data["clouds"]
+    data, training = experiment["data"], experiment["training"]
+    groups, streams = {"": data} if "path" in data else data, provenance.get("streams") or {}
+    frames = {name: streams[name]["frames"] if name in streams else provenance.get("frames") for name in groups}
+    sources = [f"{frames[name]} {_source_text(group)}" for name, group in groups.items()]
+    method, start = experiment.get("method", {}).get("name", "supervised"), provenance.get("start")
+    commit = provenance.get("environment", {}).get("commit") or "unknown"
+    return (
+        f"{', and '.join(sources)}, "
+        + (f"by the method {method}, " if method != "supervised" else "")
+        + (f"from the weights {start.get('weights') or 'not named'}, " if start else "")
+        + f"{training.get('steps')} steps of {training.get('batch_size')}, training seed {training.get('seed')}, "
+        f"commit {commit}"
+    )
+
+
+def _source_text(data: Mapping[str, Any]) -> str:
+    """What the frames of a stream are, and which clouds of them were read."""
+    simulation, clouds = data.get("simulate"), data["clouds"]
     names = [name for group in clouds.values() for name in group] if isinstance(clouds, Mapping) else clouds
     if simulation:
         source = f"simulated frames (preset {simulation['preset']}, seed {simulation['seed']})"
     else:
         source = f"frames of {data['path']}"
-    commit = provenance.get("environment", {}).get("commit") or "unknown"
-    return (
-        f"{provenance.get('frames')} {source}, clouds {' and '.join(names)}, "
-        f"{experiment['training']['steps']} steps of {experiment['training']['batch_size']}, "
-        f"training seed {experiment['training']['seed']}, commit {commit}"
-    )
+    return f"{source}, clouds {' and '.join(names)}"

@@ -14,7 +14,6 @@ from farfield.frame import Annotation, Boxes, Frame, Key
 from farfield.metrics.box_files import read, read_predictions
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.kradar.conditions import read_conditions
-from farfield.metrics.sanity import sanity_warnings
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -129,8 +128,7 @@ def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
         notes.append(f"predictions name no sequence: their frames are taken for those of {name!r}, the data's only one")
         boxes = {(name, frame_id): predicted for (_, frame_id), predicted in boxes.items()}
     detections = detections_from_boxes(boxes, in_coordinates(data, reference))
-    warnings = sanity_warnings(detections.boxes, detections.annotated)
-    return replace(detections, notes=(*notes, *detections.notes, *warnings))
+    return replace(detections, notes=(*notes, *detections.notes)).with_oddities()
 
 
 def in_coordinates(data: Dataset, reference: str) -> Dataset:

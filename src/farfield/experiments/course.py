@@ -1,11 +1,13 @@
 """The page of a run: from its folder, finished or not."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from farfield.adaptation.failure_modes import diagnose_log
-from farfield.experiments.plan import LOG_NAME, logged
+from farfield.errors import FileFormatError, plain
+from farfield.experiments.plan import LOG_NAME, logged, taken_out_text
 from farfield.experiments.schema import Experiment, load_experiment
 from farfield.frame.provenance import environment
 from farfield.pages.training_pages import CoursePage, write_course
@@ -28,6 +30,7 @@ def course_of(folder: Path, out: Path | None = None, *, title: str = "") -> Path
 
     Raises:
         ConfigError: If its experiment is not to be read.
+        FileFormatError: If its log or its provenance is damaged.
     """
     experiment, rows = load_experiment(folder / "experiment.yaml"), logged(folder)
     adapting = experiment.method.name != "supervised"  # which has nothing that goes wrong so
@@ -36,9 +39,21 @@ def course_of(folder: Path, out: Path | None = None, *, title: str = "") -> Path
         steps=experiment.training.steps,
         rows=rows,
         signs=tuple(diagnose_log(rows)) if adapting else (),
-        settings=_settings(experiment),
+        settings={**_settings(experiment), **_held_out(folder)},
     )
     return write_course(out or folder / PAGE_NAME, page)
+
+
+def _held_out(folder: Path) -> dict[str, str]:
+    """Which frames were validated on, and how many were taken out of the training for that."""
+    path = folder / "provenance.json"
+    try:
+        record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        return {"validation": taken_out_text(record)} if record.get("held_out") else {}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        fix = "Run the training's command again: it writes the file anew."
+        expected = "the provenance of a training"
+        raise FileFormatError(path, where="the file", expected=expected, got=plain(error), fix=fix) from error
 
 
 def _settings(experiment: Experiment) -> dict[str, Any]:

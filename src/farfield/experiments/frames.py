@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 
 from farfield.datasets import Dataset, open_dataset
+from farfield.datasets.contents import common_frames, frame_digests
 from farfield.datasets.maps import Sweeps
 from farfield.errors import DatasetError
 from farfield.experiments.schema import DataConfig, Experiment
@@ -105,6 +106,19 @@ def held_out(data: Dataset, count: int) -> tuple[Dataset, Dataset | None]:
     if not trained:
         raise DatasetError(f"{data.root}: expected more than {count} frames, to hold so many out; got {len(data)}.")
     return data.select(trained), data.select([held[row] for row in spread(len(held), count)])
+
+
+def without(data: Dataset, held: Dataset) -> Dataset:
+    """The frames that are not among others: neither by name in the same folder nor by the contents of their files.
+
+    Args:
+        data: The frames.
+        held: Those to leave out; what is not among ``data`` does not matter.
+    """
+    names = set(held.keys) if data.root.resolve() == held.root.resolve() else set()
+    copies, _ = common_frames(data, " ".join(frame_digests(held)))
+    left = [index for index, key in enumerate(data.keys) if key not in names and not copies[index]]
+    return data if len(left) == len(data) else data.select(left)
 
 
 def spread(count: int, most: int) -> Sequence[int]:

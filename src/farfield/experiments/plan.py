@@ -9,14 +9,18 @@ from typing import Any
 
 from farfield.adaptation.failure_modes import diagnose_log
 from farfield.datasets import Dataset
+from farfield.datasets.contents import frame_digests
 from farfield.detectors import build_detector
-from farfield.errors import ConfigError, plain
-from farfield.experiments.frames import held_out, open_frames, spread
+from farfield.detectors.weights import load_weights, resolve_weights
+from farfield.errors import ConfigError, FileFormatError, plain
+from farfield.evaluation.leakage import digests_text
+from farfield.experiments.frames import held_out, open_frames, spread, without
 from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.experiments.validation import Validation
 from farfield.files.atomic import write_text
-from farfield.frame.provenance import environment
-from farfield.simulation.recording import ensure
+from farfield.frame.provenance import SIMULATION_FILE, environment
+from farfield.inspection.axes_and_units import first_doubts
+from farfield.simulation.recording import ensure, recorded_frames
 from farfield.training.checkpoints import CHECKPOINT_NAME
 from farfield.training.loop import Training
 from farfield.training.method import DETECTOR, METHODS, Method, network_of
@@ -75,9 +79,24 @@ class Plan:
             name: self.data[name] if name in self.data else open_frames(configs[name], stream, experiment)
             for name, stream in method.streams.items()
         }
-        data, validation = self._validation(data, configs, method)
+        experiment, notes = with_real_data_named(experiment, data)
+        for note in notes:
+            report.say(note)
+        configs = _configs(experiment, method)
+        if fabric.is_global_zero:  # of what was not there yet when the run was announced
+            for name in (name for name in data if name not in self.data and configs[name].simulate):
+                for doubt in first_doubts(data[name]):
+                    report.say(f"warning: {doubt}")
+        data, validation, taken_out = self._validation(data, configs, method)
         parts = {name: held_out(frames, method.held_out) for name, frames in data.items()}
-        data = {name: trained for name, (trained, _) in parts.items()}
+        data = {name: trained if own is None else without(trained, own) for name, (trained, own) in parts.items()}
+        if empty := next((name for name, frames in data.items() if not len(frames)), None):
+            raise ConfigError(
+                f"method {experiment.method.name}: all frames of the stream {empty} ({data[empty].root}) are copies of "
+                f"the {method.held_out} that the method holds out. Add frames that are no copies."
+            )
+        if taken_out and fabric.is_global_zero:
+            report.say(f"validation: {taken_out_text(taken_out)}")
         held = {name: frames for name, (_, frames) in parts.items() if frames is not None}
         # Loop
         training = Training(
@@ -85,7 +104,7 @@ class Plan:
             {name: self._samples(method, name, data[name], configs[name]) for name in method.streams},
             experiment.training,
             self.folder,
-            {**_provenance(experiment, data, configs), **self._provenance_of_start(transfer)},
+            {**_provenance(experiment, data, configs), **self._provenance_of_start(transfer), **taken_out},
             fabric=fabric,
             held={name: self._samples(method, name, held[name], configs[name], held=True) for name in held},
             score=None if validation is None else validation.score,
@@ -94,7 +113,8 @@ class Plan:
         if fabric.is_global_zero:
             self.folder.mkdir(parents=True, exist_ok=True)
             if transfer is not None:
-                write_text(self.folder / START_NAME, json.dumps(transfer.to_json(), indent=1) + "\n")
+                start = {**transfer.to_json(), **training.provenance["start"]}
+                write_text(self.folder / START_NAME, json.dumps(start, indent=1) + "\n")
                 for line in transfer.lines():
                     report.say(line)
             write_text(self.folder / "experiment.yaml", dump_experiment(experiment))
@@ -107,7 +127,8 @@ class Plan:
 
     def announce(self, report: TrainingReport) -> None:
         """Say what the run is about to do; errors are those of :meth:`run` that need no simulation to be found."""
-        experiment, training = self.experiment, self.experiment.training
+        experiment, _ = with_real_data_named(self.experiment, {})
+        training = experiment.training
         method, _ = self._method(fresh=False)
         configs = _configs(experiment, method)
         size = sum(parameter.numel() for parameter in method.modules[DETECTOR].parameters())
@@ -118,14 +139,16 @@ class Plan:
             f"classes {', '.join(detector.class_names)}"
         ]
         counts: list[int] = []
+        doubts: list[str] = []
         for name, stream in method.streams.items():
             of_stream = f" of the stream {name}" if len(method.streams) > 1 else ""
-            if name not in self.data and configs[name].simulate:
+            if name not in self.data and configs[name].simulate is not None:
                 lines.append(f"data{of_stream}: {_planned(configs[name])}")
                 continue
             data = self.data[name] if name in self.data else open_frames(configs[name], stream, experiment)
             drives = len(set(data.sequences))
             counts.append(len(data))
+            doubts += [f"warning{of_stream}: {doubt}" for doubt in first_doubts(data)]
             lines.append(
                 f"data{of_stream}: {data.root} ({data.name}), {len(data):,} frames of {drives} "
                 f"{'drive' if drives == 1 else 'drives'}"
@@ -147,7 +170,7 @@ class Plan:
             )
         goes_on = (self.folder / CHECKPOINT_NAME).is_file()
         lines.append(f"run: {self.folder}, {'which goes on from its checkpoint' if goes_on else 'which begins'}")
-        for line in lines:
+        for line in [*lines, *doubts]:
             report.say(line)
 
     def dry_run(self) -> list[str]:
@@ -181,23 +204,35 @@ class Plan:
 
     def _validation(
         self, data: Mapping[str, Dataset], configs: Mapping[str, DataConfig], method: Method
-    ) -> tuple[dict[str, Dataset], Validation | None]:
-        """The frames that are trained on, and those of the first labelled stream that are scored meanwhile."""
+    ) -> tuple[dict[str, Dataset], Validation | None, dict[str, Any]]:
+        """The frames that are trained on, those of the first labelled stream that are scored meanwhile, and a record.
+
+        No stream trains on a frame of theirs: all of the split are taken out, and copies of held-out frames.
+        """
         settings = self.experiment.training.validation
         if settings is None:
-            return dict(data), None
+            return dict(data), None, {}
         name = next((name for name, stream in method.streams.items() if stream.labelled), None)
         if name is None:
             raise ConfigError(f"training.validation: the method {self.experiment.method.name} has no labelled stream.")
-        config, trained = configs[name], data[name]
+        config, held = configs[name], None
         if settings.split:
             other = config.model_copy(update={"split": settings.split})
-            frames = open_frames(other, method.streams[name], self.experiment)
-            frames = frames.select(spread(len(frames), settings.frames))
+            held = open_frames(other, method.streams[name], self.experiment)
+            frames, parted = held.select(spread(len(held), settings.frames)), dict(data)
         else:
-            trained, held = held_out(trained, settings.frames)
+            trained, held = held_out(data[name], settings.frames)
             assert held is not None
-            frames = held
+            frames, parted = held, {**data, name: trained}
+        left = {stream: without(part, held) for stream, part in parted.items()}
+        for stream, part in left.items():
+            if not len(part):
+                raise ConfigError(
+                    f"training.validation: all {len(parted[stream])} frames that are trained on "
+                    f"({parted[stream].root}) are validated on too. Name another data.split, another "
+                    "training.validation.split, or fewer training.validation.frames."
+                )
+        taken_out = sum(len(part) - len(left[stream]) for stream, part in parted.items())
         validation = Validation(
             frames=frames,
             cloud=config.clouds[0] if isinstance(config.clouds, tuple) else None,
@@ -205,7 +240,8 @@ class Plan:
             precision=self.experiment.training.precision,
         )
         validation.check(self.experiment.detector.class_names)
-        return {**data, name: trained}, validation
+        record = {"frames": len(frames), "split": settings.split, "taken_out": taken_out}
+        return left, validation, {"held_out": record}
 
     def _samples(
         self, method: Method, name: str, data: Dataset, config: DataConfig, *, held: bool = False
@@ -231,20 +267,90 @@ class Plan:
     def _provenance_of_start(self, transfer: TransferReport | None) -> dict[str, Any]:
         """What the provenance says of the start: of a run that goes on, what it wrote when it began."""
         if transfer is not None:
-            return {"start": transfer.brief()}
+            before = load_weights(resolve_weights(transfer.weights))[1]
+            return {"start": {**transfer.brief(), "frame_digests": digests_text(before)}}
         path = self.folder / START_NAME
         if self.experiment.training.start is None or not path.is_file():
             return {}
-        written = json.loads(path.read_text(encoding="utf-8"))
-        return {"start": {name: written[name] for name in ("weights", "sha256", "share")}}
+        try:
+            written = json.loads(path.read_text(encoding="utf-8"))
+            start = {name: written[name] for name in ("weights", "sha256", "share")}
+            start["frame_digests"] = written.get("frame_digests")
+            if not isinstance(start["weights"], str) or not isinstance(start["frame_digests"], str | None):
+                raise TypeError("names of weights and frames that are no text")
+            return {"start": start}
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            fix = "Remove the run's folder to begin anew."
+            expected = "what a run took of the weights that it started from"
+            raise FileFormatError(path, where="the file", expected=expected, got=plain(error), fix=fix) from error
+
+
+def taken_out_text(record: Mapping[str, Any]) -> str:
+    """What was held out of a training, from the provenance's ``held_out``."""
+    held = record["held_out"]
+    which = f"the split {held['split']}" if held["split"] else "what is held out"
+    count = held["taken_out"]
+    frames, were = ("frame", "was") if count == 1 else ("frames", "were")
+    taken = f"{count} {frames} of {which} {were} taken out of the training" if count else "none of them is trained on"
+    return f"{held['frames']} frames of {which}; {taken}"
 
 
 def logged(folder: Path) -> list[dict[str, float | int]]:
-    """The rows of a run's log by step; of steps that a resumed run took again, the last ones."""
+    """The rows of a run's log by step; of steps that a resumed run took again, the last ones.
+
+    A last line without its end is that of a process that was killed while it wrote, and is passed over.
+
+    Raises:
+        FileFormatError: If a line is damaged.
+    """
     path = folder / LOG_NAME
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-    rows = {row["step"]: row for row in map(json.loads, lines)}
+    *lines, _ = path.read_bytes().split(b"\n") if path.is_file() else [b""]
+    rows = {}
+    for number, line in enumerate(lines, 1):
+        try:
+            row = json.loads(line.decode("utf-8"))
+            figures = [float(value) for value in row.values() if type(value) in (int, float)]
+            if len(figures) < len(row) or type(row["step"]) is not int or row["step"] < 0:
+                raise TypeError("a value that is no number, or a step that is no whole one")
+            rows[row["step"]] = row
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+            where, expected = f"line {number}", "the losses of a step as JSON"
+            fix = "Remove the line: the run and its page do without."
+            raise FileFormatError(path, where=where, expected=expected, got=plain(error)[:200], fix=fix) from error
     return [rows[step] for step in sorted(rows)]
+
+
+def with_real_data_named(experiment: Experiment, opened: Mapping[str, Dataset]) -> tuple[Experiment, list[str]]:
+    """The experiment without ``data.simulate`` where ``farfield simulate`` did not make the data that stand there.
+
+    Args:
+        experiment: The experiment.
+        opened: Frames of streams that are open already; each must be of a file that ``simulate`` wrote.
+
+    Returns:
+        What is true of the data that are there, and a line on each group whose ``simulate`` was dropped.
+    """
+    groups, notes = _groups(experiment), []
+    for name, config in groups.items():
+        if config.simulate is None or not config.path.exists():
+            continue
+        frames = opened.get(name) if name else next(iter(opened.values()), None)
+        count = 0 if frames is None else len(frames) - recorded_frames(config.path, frames)
+        if not (config.path / SIMULATION_FILE).is_file():
+            why = f"farfield simulate did not make {config.path}"
+        elif count:
+            why = f"farfield simulate did not make {count} of the {len(frames or ())} frames of {config.path}"
+        else:
+            continue
+        groups[name] = config.model_copy(update={"simulate": None})
+        key = f"data.{name}.simulate" if name else "data.simulate"
+        notes.append(
+            f"{key} ({config.simulate.preset}) does not count and is dropped: {why}, and the weights will not say so"
+        )
+    if not notes:
+        return experiment, notes
+    data = groups[""] if isinstance(experiment.data, DataConfig) else groups
+    return experiment.model_copy(update={"data": data}), notes
 
 
 def _groups(experiment: Experiment) -> dict[str, DataConfig]:
@@ -279,6 +385,7 @@ def _provenance(experiment: Experiment, data: dict[str, Dataset], configs: dict[
             "frames": len(frames),
             "clouds": configs[name].clouds,
             "recipe": frames.recipe,
+            "frame_digests": " ".join(frame_digests(frames)),
         }
         for name, frames in data.items()
     }

@@ -10,9 +10,22 @@ SIMULATION_FILE = "simulation.json"
 """The settings that ``farfield simulate`` leaves beside its frames."""
 
 
+SIMULATION_JOURNAL = ".farfield_simulate.jsonl"
+"""Which files ``farfield simulate`` wrote, a line of JSON a frame."""
+
+
 def is_simulated(root: Path) -> bool:
-    """Whether ``farfield simulate`` wrote a data set: its settings file lies in the folder or above it."""
-    return any((folder / SIMULATION_FILE).is_file() for folder in (root, root.absolute().parent))
+    """Whether ``farfield simulate`` wrote a data set: its settings file lies in the folder, or above one that it wrote.
+
+    Of a folder below, its journal says so; without a journal each is one that it wrote.
+    """
+    if (root / SIMULATION_FILE).is_file():
+        return True
+    parent, name = root.absolute().parent, root.absolute().name
+    if not (parent / SIMULATION_FILE).is_file():
+        return False
+    journal = parent / SIMULATION_JOURNAL
+    return not journal.is_file() or f'"{name}/'.encode() in journal.read_bytes()
 
 
 def environment() -> dict[str, Any]:

@@ -17,8 +17,10 @@ from safetensors.torch import load, save
 from torch import Tensor, nn
 from torch.nn import functional
 
+from farfield.detectors.soundness import unsound
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_bytes
+from farfield.files.safetensors import check_digest, with_digest
 
 STRIDE, SIDE = 4, 16
 MAX_BYTES = 1_000_000
@@ -164,7 +166,7 @@ def _doubled(values: Tensor) -> Tensor:
 
 
 def save_networks(path: Path, finder: PlateNetwork, judge: PlateJudge) -> None:
-    """Write the weights of both networks in half precision.
+    """Write the weights of both networks in half precision, with the digest of their file.
 
     Args:
         path: A ``.safetensors`` file.
@@ -174,20 +176,23 @@ def save_networks(path: Path, finder: PlateNetwork, judge: PlateJudge) -> None:
     state = {_FINDER + name: value for name, value in finder.state_dict().items()}
     state |= {_JUDGE + name: value for name, value in judge.state_dict().items()}
     tensors = {name: value.detach().cpu().half().contiguous() for name, value in state.items()}
-    write_bytes(path, save({name: value for name, value in tensors.items() if not name.endswith(_COUNTER)}))
+    written = {name: value for name, value in tensors.items() if not name.endswith(_COUNTER)}
+    write_bytes(path, with_digest(save(written)))
 
 
 def load_networks(path: Path) -> tuple[PlateNetwork, PlateJudge, str]:
     """Both networks in evaluation mode, and the SHA-256 of their file.
 
     Raises:
-        FileFormatError: If the file is too large, no safetensors file, or holds other tensors than the networks have.
+        FileFormatError: If the file is too large, no safetensors file, changed since it was written, or holds other
+            tensors than the networks have, or numbers that no training leaves.
     """
     data = read_bytes(path, max_bytes=MAX_BYTES)
     try:
         tensors = load(data)
     except SafetensorError as error:
         raise FileFormatError(path, where="header", expected="safetensors", got=str(error)) from error
+    check_digest(path, data)
     finder, judge = PlateNetwork(), PlateJudge()
     networks: tuple[tuple[str, nn.Module], ...] = ((_FINDER, finder), (_JUDGE, judge))
     state = {prefix + name: value for prefix, network in networks for name, value in network.state_dict().items()}
@@ -196,8 +201,8 @@ def load_networks(path: Path) -> tuple[PlateNetwork, PlateJudge, str]:
     if expected != shapes:
         odd = sorted(set(expected.items()) ^ set(shapes.items()))[0][0]
         raise FileFormatError(path, where=odd, expected=str(expected.get(odd)), got=str(shapes.get(odd)))
-    if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
-        raise FileFormatError(path, where="tensors", expected="finite numbers", got="infinite ones or NaN")
+    if (fault := unsound(tensors)) is not None:
+        raise FileFormatError(path, where=fault[0], expected="numbers as a training leaves them", got=fault[1])
     state |= {name: tensor.float() for name, tensor in tensors.items()}
     for prefix, network in networks:
         own = {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}

@@ -1,18 +1,26 @@
-"""Checkpoints of a running training: whole or absent, never torn, never pickled code."""
+"""Checkpoints of a running training: whole or absent, never torn, never pickled code.
 
+A file is what ``torch.save`` writes, a zip archive, and behind it the SHA-256 of its bytes. Those of earlier versions
+end with the archive, whose checksums cover the numbers.
+"""
+
+import hashlib
 import io
 import json
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import torch
 from torch import Tensor, nn
 
 from farfield.detectors import DETECTORS
+from farfield.detectors.soundness import unlike, unsound
 from farfield.errors import ConfigError, FarfieldError, FileFormatError, plain
-from farfield.files.atomic import write_bytes, write_text
+from farfield.files.atomic import open_atomic, write_text
 
 CHECKPOINT_NAME = "checkpoint.pt"
 """In a run's folder: its state."""
@@ -20,30 +28,90 @@ BEST = "best"
 """Stem of the best weights' file, and of what is known of them."""
 
 
+_MARK = b"farfield-sha256:"
+_TRAILER_BYTES = len(_MARK) + 64
+_ARCHIVE_END, _ARCHIVE_END_BYTES = b"PK\x05\x06", 22
+_ANEW = "Remove it to begin anew."
+_OURS = "a checkpoint of farfield train, an archive with the checksums of what it holds"
+_BLOCK_BYTES = 1 << 20
+_DAMAGED_ARCHIVE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    ValueError,
+    OSError,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    IndexError,
+)
+
+
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write tensors and plain values atomically: a killed process leaves the previous checkpoint."""
     buffer = io.BytesIO()
     torch.save(state, buffer)
-    write_bytes(path, buffer.getvalue())
+    digest = hashlib.sha256(buffer.getbuffer()).hexdigest()
+    buffer.seek(0, io.SEEK_END)
+    buffer.write(_MARK + digest.encode())
+    with open_atomic(path) as file:
+        file.write(buffer.getbuffer())
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
     """Read a checkpoint; anything but tensors and plain values is refused.
 
     Raises:
-        FileFormatError: If the file is damaged or holds other objects.
+        FileFormatError: If the file changed since it was written, is damaged, or holds other objects.
     """
+    _check_bytes(path)
     try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        if not isinstance(state, dict):
+            raise TypeError(f"it holds {type(state).__name__}")
     except Exception as error:  # torch raises many kinds for damaged or hostile files
-        raise FileFormatError(
-            path,
-            where="file",
-            expected="a checkpoint of farfield train",
-            got=str(error)[:200],
-            fix="Remove it to begin anew.",
-        ) from error
+        raise FileFormatError(path, where="file", expected=_OURS, got=str(error)[:200], fix=_ANEW) from error
     return state
+
+
+def _check_bytes(path: Path) -> None:
+    """Compare a checkpoint with the digest behind it; one of an earlier version with its archive's checksums."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(0, size - _TRAILER_BYTES))
+        trailer = file.read()
+        if not trailer.startswith(_MARK):
+            _check_archive(path, file)
+            return
+        file.seek(0)
+        digest, left = hashlib.sha256(), size - _TRAILER_BYTES
+        while block := file.read(min(left, _BLOCK_BYTES)):
+            digest.update(block)
+            left -= len(block)
+    stated, actual = trailer[len(_MARK) :], digest.hexdigest().encode()
+    if actual != stated:
+        expected = f"the bytes as they were written, of the SHA-256 {stated[:16].decode('ascii', 'replace')}"
+        raise FileFormatError(path, where="digest", expected=expected, got=actual[:16].decode(), fix=_ANEW)
+
+
+def _check_archive(path: Path, file: BinaryIO) -> None:
+    """See that an archive ends with the file, and that what it holds has its checksums."""
+    got = ""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            packed = [member.filename for member in archive.infolist() if member.compress_type != zipfile.ZIP_STORED]
+            damaged = None if packed else archive.testzip()
+            behind = archive.comment
+        file.seek(-_ARCHIVE_END_BYTES, io.SEEK_END)
+        if packed:
+            got = f"compressed numbers at {packed[0]}"
+        elif damaged is not None:
+            got = f"another checksum at {damaged}"
+        elif behind or not file.read().startswith(_ARCHIVE_END):
+            got = "other bytes behind it, such as a damaged digest"
+    except _DAMAGED_ARCHIVE as error:
+        got = plain(error)[:200]
+    if got:
+        raise FileFormatError(path, where="file", expected=_OURS, got=got, fix=_ANEW)
 
 
 STEPS = "training.steps"
@@ -88,31 +156,112 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
     Checkpoints of the first form, with the key ``network``, are read as those of the module ``detector``.
 
     Raises:
-        FileFormatError: If the file is damaged.
+        FileFormatError: If the file is damaged, or holds shapes or numbers that this training does not leave.
         ConfigError: If it belongs to another experiment, to other data or to other modules.
     """
     if not path.is_file():
         return None
     state = load_checkpoint(path)
     try:
-        saved, step = json.loads(state["provenance"]), int(state["step"])
-        modules_state, average, optimizer = _module_states(state), state["average"], state["optimizer"]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        saved, step = json.loads(state["provenance"]), state["step"]
+        modules_state, average, optimizer = _module_states(state), dict(state["average"]), dict(state["optimizer"])
+        if not isinstance(saved, Mapping) or isinstance(step, bool) or not isinstance(step, int) or step < 0:
+            raise ValueError(f"step {step!r} of {type(saved).__name__}")
+        _check_same(path, saved, provenance, step)
+        prolonged(saved, provenance, step)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise FileFormatError(
-            path, where="keys", expected="those of farfield train", got=plain(error), fix="Remove it to begin anew."
+            path, where="keys", expected="those of farfield train", got=plain(error), fix=_ANEW
         ) from error
-    _check_same(path, saved, provenance, step)
     if "network" in state:
         average = {f"detector.{name}": value for name, value in average.items()}
-    if set(modules_state) != set(modules.state_dict()):
+    expected = modules.state_dict()
+    if set(modules_state) != set(expected):
         raise ConfigError(f"{path} holds other modules than the method: {', '.join(modules)}. Remove it to begin anew.")
+    _check_alike(path, "modules", modules_state, expected)
+    _check_alike(path, "average", average, {name: value.float() for name, value in expected.items()})
+    check_sound(path, "modules", modules_state)
+    check_sound(path, "average", average)
     return TrainingState(step, modules_state, optimizer, average, saved)
+
+
+def _check_alike(path: Path, where: str, tensors: Mapping[str, Any], expected: Mapping[str, Tensor]) -> None:
+    """Refuse tensors of other names, shapes or types."""
+    strange = next((name for name, tensor in tensors.items() if not isinstance(tensor, Tensor)), None)
+    if strange is not None:
+        got = type(tensors[strange]).__name__
+        raise FileFormatError(path, where=f"{where}, {strange}", expected="a tensor", got=got, fix=_ANEW)
+    if (misfit := unlike(tensors, expected)) is not None:
+        name, here, there = misfit
+        raise FileFormatError(path, where=f"{where}, {name}", expected=here, got=there, fix=_ANEW)
+
+
+def check_sound(path: Path, where: str, tensors: Mapping[str, Tensor]) -> None:
+    """Refuse numbers that no training leaves, in a checkpoint that is read or about to be written.
+
+    Args:
+        path: The checkpoint.
+        where: What of it the tensors are.
+        tensors: By name, any shapes.
+
+    Raises:
+        FileFormatError: If there is one.
+    """
+    if (fault := unsound(tensors)) is not None:
+        name, got = fault
+        fix = "Its training went astray, or the file is damaged. Remove the run's folder to begin anew."
+        expected = "numbers as a training leaves them"
+        raise FileFormatError(path, where=f"{where}, {name}", expected=expected, got=got, fix=fix)
+
+
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+def resume_optimizer(path: Path, state: Mapping[str, Any], optimizer: torch.optim.Optimizer) -> None:
+    """Give an optimiser the moments of a checkpoint, if they are of this very optimiser: torch trusts their shapes.
+
+    Its groups' settings stay as the experiment has them.
+
+    Args:
+        path: The checkpoint, for messages.
+        state: As AdamW's ``state_dict`` has it.
+        optimizer: The optimiser that takes it.
+
+    Raises:
+        FileFormatError: If groups, parameters, shapes or number types are others, or a moment is none that a training
+            leaves.
+    """
+    own = optimizer.state_dict()["param_groups"]
+    groups, moments = state.get("param_groups"), state.get("state")
+    if not isinstance(groups, list) or not isinstance(moments, Mapping):
+        expected, got = "param_groups and state", ", ".join(map(str, state)) or "nothing"
+        raise FileFormatError(path, where="optimizer", expected=expected, got=got, fix=_ANEW)
+    numbers = [group.get("params") if isinstance(group, Mapping) else None for group in groups]
+    if numbers != [group["params"] for group in own]:
+        expected = f"groups of {', '.join(str(len(group['params'])) for group in own)} parameters"
+        got = ", ".join(str(len(part)) if isinstance(part, list) else "none" for part in numbers) or "no group"
+        raise FileFormatError(path, where="optimizer, param_groups", expected=expected, got=got, fix=_ANEW)
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    by_number = dict(zip((number for group in own for number in group["params"]), parameters, strict=True))
+    for number, values in moments.items():
+        where, parameter = f"optimizer, state, {number}", by_number.get(number)
+        if parameter is None or not isinstance(values, Mapping):
+            expected, got = f"moments of a parameter from 0 to {len(by_number) - 1}", type(values).__name__
+            raise FileFormatError(path, where=where, expected=expected, got=got, fix=_ANEW)
+        _check_alike(path, where, values, {"step": torch.zeros(()), **dict.fromkeys(_MOMENTS, parameter)})
+        for name, tensor in values.items():
+            if not bool(torch.isfinite(tensor).all()) or (name != _MOMENTS[0] and bool((tensor < 0).any())):
+                expected = "finite numbers" if name == _MOMENTS[0] else "finite numbers of 0 or more"
+                raise FileFormatError(path, where=f"{where}, {name}", expected=expected, got="others", fix=_ANEW)
+    optimizer.load_state_dict({"state": dict(moments), "param_groups": own})
 
 
 def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, Any], step: int) -> None:
     """Refuse another experiment or other data. More steps than before are the same run, prolonged."""
     before, now = dict(flatten(_current_names(saved.get("experiment")))), dict(flatten(provenance.get("experiment")))
     names = [name for name in {**before, **now} if before.get(name) != now.get(name) and name != STEPS]
+    # Earlier versions said of any data that they were simulated, if the experiment had a way to; fingerprints count
+    names = [name for name in names if ".simulate" not in name or now.get(name) is not None]
     if names:
         changes = [f"{name} was {before.get(name)!r}, is {now.get(name)!r}" for name in sorted(names)[:5]]
         more = f" and {len(names) - 5} more" if len(names) > 5 else ""
@@ -121,9 +270,15 @@ def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, A
             "(-o name=OTHER), set that back, or remove the run's folder."
         )
     if _fingerprints(saved) != _fingerprints(provenance):
+        taken_out = (provenance.get("held_out") or {}).get("taken_out") if "held_out" not in saved else 0
+        why = (
+            "it learnt from frames that it validates on, as earlier versions let it"
+            if taken_out
+            else "their files or options changed since (data_fingerprint)"
+        )
         raise ConfigError(
-            f"{path} was made of other data: their files or options changed since (data_fingerprint). Give this run "
-            "another name (-o name=OTHER), or remove the run's folder."
+            f"{path} was made of other data: {why}. Give this run another name (-o name=OTHER), or remove the run's "
+            "folder."
         )
     if (steps := now.get(STEPS, step)) < step:
         raise ConfigError(f"{path} has done {step} steps; {STEPS} may be raised, not set to {steps}.")
@@ -191,17 +346,51 @@ class BestScore:
 
     @classmethod
     def read(cls, folder: Path) -> "BestScore | None":
-        """What an earlier part of the run reached; None where nothing stands there."""
+        """What an earlier part of the run reached; None where nothing stands there.
+
+        Raises:
+            FileFormatError: If it is damaged.
+        """
         path = folder / f"{BEST}.json"
-        try:
-            tree = json.loads(path.read_text(encoding="utf-8"))
-            return cls(int(tree["step"]), float(tree["validation"]))
-        except (OSError, ValueError, KeyError, TypeError):
+        if not path.is_file():
             return None
+        try:
+            tree = json.loads(path.read_bytes())
+            best = cls(tree["step"], tree["validation"])
+            whole = type(best.step) is int and best.step >= 0
+            if not whole or type(best.score) not in (int, float) or not 0 <= best.score <= 1:
+                raise ValueError(f"step {best.step}, validation {best.score}")
+            if set(tree) != {"step", "validation"} and tree != best._tree():  # which earlier versions wrote
+                raise ValueError("figures that changed since they were written")
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            fix = "Remove it: the next validation then counts as the best."
+            expected = "a step, a validation from 0 to 1, and their digest"
+            raise FileFormatError(path, where="the file", expected=expected, got=plain(error)[:200], fix=fix) from error
+        return best
 
     def write(self, folder: Path) -> None:
         """Keep it."""
-        write_text(folder / f"{BEST}.json", json.dumps({"step": self.step, "validation": self.score}) + "\n")
+        write_text(folder / f"{BEST}.json", json.dumps(self._tree()) + "\n")
+
+    def _tree(self) -> dict[str, Any]:
+        figures = {"step": self.step, "validation": self.score}
+        return {**figures, "sha256": hashlib.sha256(json.dumps(figures).encode()).hexdigest()}
+
+
+def begin_log(path: Path, *, anew: bool) -> None:
+    """Make a log ready for a run's lines.
+
+    Args:
+        path: The log.
+        anew: The run begins, and no line of another stays; else a last line is cut that has no end, as a process leaves
+            it that was killed while it wrote.
+    """
+    if anew:
+        path.unlink(missing_ok=True)
+    elif path.is_file():
+        data = path.read_bytes()
+        with path.open("r+b") as file:
+            file.truncate(data.rfind(b"\n") + 1)
 
 
 def remove_best(folder: Path, stems: Sequence[str]) -> None:

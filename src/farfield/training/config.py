@@ -184,7 +184,9 @@ class ValidationConfig(_Settings):
     frames: int = Field(
         64, ge=1, description="frames to score on: held out of the training, whole sequences where there are several"
     )
-    split: str = Field("", description="take them from this split of the same data instead, and hold out none")
+    split: str = Field(
+        "", description="take them from this split of the same data instead; none of its frames is trained on"
+    )
 
 
 class TrainingConfig(_Settings):
@@ -209,7 +211,7 @@ class TrainingConfig(_Settings):
     threads: int = Field(0, ge=0, description="torch threads; 0 leaves torch's choice")
     workers: int = Field(1, ge=0, description="processes that prepare frames")
     checkpoint_every_s: float = Field(60.0, gt=0, description="seconds between checkpoints; Ctrl-C writes one too")
-    log_every_steps: int = Field(20, ge=1, description="steps between lines on the screen")
+    log_every_steps: int = Field(20, ge=1, description="steps between lines on the screen; log.jsonl has every step")
     min_points: int = Field(1, ge=0, description="boxes with fewer points in the trained cloud are left out")
     unannotated: Literal["refuse", "skip"] = Field(
         "refuse", description="what to do with frames without annotation in a labelled stream: they are not empty ones"

@@ -28,10 +28,13 @@ from farfield.training.checkpoints import (
     CHECKPOINT_NAME,
     BestScore,
     TrainingState,
+    begin_log,
     best_of,
+    check_sound,
     load_run,
     prolonged,
     remove_best,
+    resume_optimizer,
     save_checkpoint,
 )
 from farfield.training.config import TrainingConfig
@@ -234,6 +237,8 @@ class Training:
         self._optimizer = self._new_optimizer()
         self._average = {name: value.detach().clone().float() for name, value in self.modules.state_dict().items()}
         self._resume()
+        if fabric.is_global_zero:
+            begin_log(self.folder / "log.jsonl", anew=not self.step)
         for name, samples in self.samples.items():
             samples.prepare(self.step * counts[name], partial(self._report.reading, what="reading frames"))
         self._reestimate_statistics(fabric)
@@ -390,14 +395,15 @@ class Training:
             return
         if raised := prolonged(run.provenance, self.provenance, run.step):
             self.provenance = {**self.provenance, "prolonged": raised}
+        resume_optimizer(self.checkpoint_path, run.optimizer, self._optimizer)
         self.modules.load_state_dict(run.modules)
-        self._optimizer.load_state_dict(run.optimizer)
         copy_state(self._average, run.average)
         self.step = run.step
 
     def _save(self) -> None:
-        """Write the checkpoint."""
+        """Write the checkpoint; a state that could not be read again leaves the previous one."""
         state, optimizer = self.modules.state_dict(), self._optimizer.state_dict()
+        check_sound(self.checkpoint_path, "modules", state)
         run = TrainingState(self.step, state, optimizer, self._average, self.provenance)
         save_checkpoint(self.checkpoint_path, run.state())
         self._saved_s = time.monotonic()

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from farfield.detectors.config import range_weights
-from farfield.detectors.nms import rotated_nms
+from farfield.detectors.nms import surviving_boxes
 from farfield.detectors.pointrcnn.points import BandConfig, first_of_bands
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.iou import pairwise_iou
@@ -115,16 +115,17 @@ class BinCoder:
 
     def decode(self, codes: Tensor, reference: Tensor) -> Tensor:
         """Boxes (k, 7) from a network's output (k, numbers); sizes are kept within 1/50 to 20 times the reference."""
-        config, parts = self.config, self.split(codes.float())
-        best = [logits.argmax(1, keepdim=True) for logits in parts.logits]
-        rest = [residual.gather(1, index)[:, 0] for residual, index in zip(parts.residuals, best, strict=True)]
+        config, codes = self.config, codes.float()
+        parts, axes = self.split(codes), codes[:, : 4 * config.per_axis].reshape(len(codes), 2, 2, config.per_axis)
+        best = axes[:, 0].argmax(2, keepdim=True)  # of x and of y: logits of both come first, then the residuals
         along, across = (
-            (index[:, 0] + 0.5 + part / 2) * config.bin_m - config.scope_m
-            for index, part in zip(best[:2], rest[:2], strict=True)
+            ((best + 0.5 + axes[:, 1].gather(2, best) / 2) * config.bin_m - config.scope_m).squeeze(2).unbind(1)
         )
+        turn_bin = parts.logits[2].argmax(1, keepdim=True)
+        turn_rest = parts.residuals[2].gather(1, turn_bin)
         cos, sin = torch.cos(reference[:, 6]), torch.sin(reference[:, 6])
         x, y = along * cos - across * sin, along * sin + across * cos
-        turn = (best[2][:, 0] + 0.5 + rest[2] / 2) * self.heading_bin_rad - self._first_edge()
+        turn = ((turn_bin + 0.5 + turn_rest / 2) * self.heading_bin_rad - self._first_edge()).squeeze(1)
         ratio = parts.size.clamp(-4, 3).exp() if config.log_size else parts.size + 1
         yaw = torch.remainder(reference[:, 6] + turn + math.pi, 2 * math.pi) - math.pi
         centre = reference[:, :3] + torch.stack([x, y, parts.z[:, 0]], 1)
@@ -219,10 +220,10 @@ class Match(NamedTuple):
         return (self.iou >= config.refined_iou) | (self.gap_m <= config.refined_m)
 
 
-def as_boxes(rows: Float[np.ndarray, "n 7"], score: Float[np.ndarray, " n"] | None = None) -> Boxes:
+def as_boxes(rows: Float[np.ndarray, "n 7"]) -> Boxes:
     """Rows x, y, z, length, width, height, yaw as boxes."""
     rows = rows.astype(np.float64)
-    return Boxes(centre_m=rows[:, :3], size_m=rows[:, 3:6], yaw_rad=rows[:, 6], score=score)
+    return Boxes(centre_m=rows[:, :3], size_m=rows[:, 3:6], yaw_rad=rows[:, 6])
 
 
 def first_candidates(points: Tensor, score: Tensor, config: ProposalConfig) -> Tensor:
@@ -232,18 +233,16 @@ def first_candidates(points: Tensor, score: Tensor, config: ProposalConfig) -> T
     return order[first_of_bands(config.bands.of(points[order]), config.bands.shares, config.candidates)]
 
 
-def keep_proposals(boxes: Tensor, score: Tensor, config: ProposalConfig, *, training: bool) -> Tensor:
+def keep_proposals(boxes: Tensor, config: ProposalConfig, *, training: bool) -> Tensor:
     """Rows of one frame's candidates that survive suppression and their band's budget, best first, shape (k,).
 
     Args:
         boxes: Proposed boxes, best first, shape (n, 7).
-        score: Their scores, shape (n,).
         config: Budgets.
         training: Take the numbers of the training.
     """
     iou, count = (config.training_nms_iou, config.training_count) if training else (config.nms_iou, config.count)
-    scored = as_boxes(boxes.cpu().numpy(), score.double().cpu().numpy())
-    rows = torch.from_numpy(rotated_nms(scored, iou_threshold=iou, limit=max(len(scored), 1))).to(boxes.device)
+    rows = surviving_boxes(boxes.double(), iou)
     return rows[first_of_bands(config.bands.of(boxes[rows]), config.bands.shares, count)]
 
 

@@ -19,11 +19,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.config import Channels, DetectorConfig
+from farfield.detectors.devices import constant
 from farfield.detectors.features import PointFeatures, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput
 from farfield.detectors.losses import focal_loss, normaliser, sum_over_processes
 from farfield.detectors.network import ClassRows, InputColumns, Network
-from farfield.detectors.nms import rotated_nms
+from farfield.detectors.nms import boxes_after_nms
 from farfield.detectors.pointrcnn.boxes import (
     UNSURE,
     BinCoder,
@@ -32,7 +33,6 @@ from farfield.detectors.pointrcnn.boxes import (
     PointAssigner,
     PointTargets,
     ProposalConfig,
-    as_boxes,
     draw_proposals,
     first_candidates,
     join_targets,
@@ -206,12 +206,12 @@ class Stages(NamedTuple):
     """Raw outputs of both stages; points and proposals are listed frame after frame.
 
     Args:
-        lengths: Chosen points of each frame, shape (b,).
+        lengths: Chosen points of each frame, shape (b,), on the host.
         rows: Row of each chosen point in its cloud, shape (n,).
         xyz: Its coordinates, shape (n, 3).
         logits: Foreground logits by class, shape (n, classes).
         codes: Proposed box of each point in bins, shape (n, numbers).
-        proposal_lengths: Proposals of each frame, shape (b,).
+        proposal_lengths: Proposals of each frame, shape (b,), on the host.
         proposals: Proposals x, y, z, length, width, height, yaw, shape (m, 7).
         kinds: Their class numbers, shape (m,).
         confidences: Logits of the second stage by class, shape (m, classes).
@@ -301,10 +301,9 @@ class PointRCNN(Network):
         with torch.no_grad():
             proposals, kinds, counts = self._propose(xyz, logits.float(), codes, lengths, targets)
         confidences, refinements = self._refine(xyz, values, logits, lengths, proposals, counts)
-        device = xyz.device
         return Stages(
-            torch.tensor(lengths, device=device), features.aux["rows"], xyz, logits, codes,
-            torch.tensor(counts, device=device), proposals, kinds, confidences, refinements,
+            torch.tensor(lengths), features.aux["rows"], xyz, logits, codes,
+            torch.tensor(counts), proposals, kinds, confidences, refinements,
         )  # fmt: skip
 
     def _choose(self, cloud: Tensor) -> Tensor:
@@ -329,7 +328,7 @@ class PointRCNN(Network):
             score, kind = scores.max(1)
             row = first_candidates(points, score, self.config.proposals)
             box = self.coder.decode(code[row], self._reference(points[row], kind[row]))
-            rows = keep_proposals(box, score[row], self.config.proposals, training=self.training)
+            rows = keep_proposals(box, self.config.proposals, training=self.training)
             box, kind = box[rows], kind[row][rows]
             if self.training and targets is not None:
                 box, kind = self._draw(points, box, kind, targets[index])
@@ -343,7 +342,7 @@ class PointRCNN(Network):
 
     def _sizes_m(self, like: Tensor) -> Tensor:
         """Mean size of each class, shape (classes, 3)."""
-        return like.new_tensor(list(self.config.sizes_m.values()))
+        return constant(tuple(self.config.sizes_m.values()), like.device, like.dtype)
 
     def _draw(self, xyz: Tensor, boxes: Tensor, kinds: Tensor, target: PointTargets) -> tuple[Tensor, Tensor]:
         """Proposals of a frame to train on, with shaken copies of its boxes; drawn by the content of its cloud."""
@@ -432,8 +431,10 @@ class PointRCNN(Network):
         return [self._boxes(*frame) for frame in zip(boxes.split(counts), scores.split(counts), strict=True)]
 
     def _boxes(self, rows: Tensor, scores: Tensor) -> Boxes:
-        score, kind = scores.max(1)
-        keep = score >= self.config.score_threshold
-        boxes = as_boxes(rows[keep].cpu().numpy(), score[keep].double().cpu().numpy())
-        boxes = boxes.replace(label=np.array(self.config.class_names)[kind[keep].cpu().numpy()])
-        return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
+        config, (score, kind) = self.config, scores.max(1)
+        score, order = torch.sort(score, descending=True, stable=True)
+        best = order[: int((score >= config.score_threshold).sum())]
+        return boxes_after_nms(
+            rows[best].double(), score[: len(best)], kind[best], config.class_names,
+            iou_threshold=config.nms_iou, limit=config.max_boxes,
+        )  # fmt: skip

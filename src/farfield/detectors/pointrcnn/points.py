@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from farfield.detectors.devices import kernels_for
+from farfield.detectors.devices import constant, kernels_for, sent
 
 _SIDE_BY_SIDE = 8  # a CPU samples this many frames faster one by one, more of them faster side by side
 
@@ -42,7 +42,7 @@ class BandConfig(BaseModel):
 
     def of(self, centre_m: Tensor) -> Tensor:
         """Band of each row x, y, ...: the outermost bands also take what lies beyond their edges, shape (n,)."""
-        inner = centre_m.new_tensor(self.edges_m[1:-1])
+        inner = constant(self.edges_m[1:-1], centre_m.device, centre_m.dtype)
         return torch.bucketize(torch.hypot(centre_m[:, 0], centre_m[:, 1]).contiguous(), inner, right=True)
 
 
@@ -120,14 +120,11 @@ def sample_bands(points: Tensor, bands: BandConfig, budget: int) -> Tensor:
 
 
 def first_of_bands(band: Tensor, shares: Sequence[float], budget: int) -> Tensor:
-    """Whether each item is among the first of its band that the band's budget lets in, shape (n,), bool."""
-    available = torch.bincount(band, minlength=len(shares)).cpu().numpy()
-    granted = torch.from_numpy(share_budget(available, shares, budget)).to(band.device)
-    by_band = torch.argsort(band, stable=True)
-    first = torch.from_numpy(np.cumsum(available) - available).to(band.device)
-    rank = torch.empty_like(by_band)
-    rank[by_band] = torch.arange(len(band), device=band.device)
-    return rank - first[band] < granted[band]
+    """Rows of the items that are among the first of their band and within its budget, ascending, shape (k,)."""
+    ordered, by_band = torch.sort(band, stable=True)
+    edges = torch.searchsorted(ordered, torch.arange(len(shares) + 1, device=band.device)).tolist()
+    granted = share_budget(np.diff(edges), shares, budget).tolist()
+    return torch.cat([by_band[start : start + size] for start, size in zip(edges[:-1], granted, strict=True)]).sort()[0]
 
 
 def prefix_rows(lengths: Sequence[int], count: int) -> tuple[list[int], list[int]]:
@@ -263,6 +260,7 @@ def _spread(points: Tensor, finest_m: float) -> Tensor:
 
 _CANDIDATES = 1 << 21  # pairs looked at in one go
 _DISTANCES = 1 << 25  # distances held at once where all are computed
+_DENSE_PAIRS = 1 << 23  # pairs of which a GPU computes all distances: calls cost it more than numbers
 
 
 class Groups(NamedTuple):
@@ -286,35 +284,52 @@ def sorted_keys(keys: Tensor) -> Tensor:
 
 def frame_rows(lengths: Sequence[int], device: torch.device) -> Tensor:
     """Frame number of each row, shape (n,), int64."""
-    return torch.repeat_interleave(
-        torch.arange(len(lengths), device=device), torch.tensor(lengths, dtype=torch.long, device=device)
-    )
+    if len(lengths) == 1:
+        return torch.zeros(lengths[0], dtype=torch.long, device=device)
+    length = sent(torch.tensor(lengths, dtype=torch.long), device)
+    return torch.repeat_interleave(torch.arange(len(lengths), device=device), length, output_size=sum(lengths))
 
 
-def expand_ranges(low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
-    """All numbers of each half-open range [low, high), range after range, and the range that each belongs to."""
+def expand_ranges(low: Tensor, high: Tensor, total: int) -> tuple[Tensor, Tensor]:
+    """All numbers of each half-open range [low, high), range after range, and the range that each belongs to.
+
+    Args:
+        low: First number of each range, shape (n,).
+        high: One past its last.
+        total: How many numbers that makes; the host knows it, and need not read it.
+    """
     count = high - low
-    owner = torch.repeat_interleave(torch.arange(len(low), device=low.device), count)
+    owner = torch.repeat_interleave(torch.arange(len(low), device=low.device), count, output_size=total)
     first = low - (count.cumsum(0) - count)
-    return torch.arange(len(owner), device=low.device) + first[owner], owner
+    return torch.arange(total, device=low.device) + first.index_select(0, owner), owner
 
 
-def chunks(cost: Tensor, limit: int) -> Iterator[slice]:
-    """Stretches of rows whose costs sum to about ``limit`` each; a row that costs more stands alone."""
-    step = torch.div(cost.cumsum(0) - cost, limit, rounding_mode="floor")
+def chunks(cost: Tensor, limit: int) -> Iterator[tuple[slice, int]]:
+    """Stretches of rows whose costs sum to about ``limit`` each, and that sum; a row that costs more stands alone."""
+    ends = cost.cumsum(0)
+    total = int(ends[-1])
+    if total <= limit:
+        yield slice(0, len(cost)), total
+        return
+    step = torch.div(ends - cost, limit, rounding_mode="floor")
     edges = torch.nonzero(torch.diff(step))[:, 0].add(1).tolist()
-    yield from (slice(a, b) for a, b in zip([0, *edges], [*edges, len(cost)], strict=True))
+    sums = np.diff([0, *ends[[edge - 1 for edge in edges]].tolist(), total]).tolist()
+    yield from ((slice(a, b), size) for a, b, size in zip([0, *edges], [*edges, len(cost)], sums, strict=True))
 
 
 def first_pairs(keys: Tensor, points: int, limit: int, count: int) -> Groups:
     """Groups from unsorted numbers centre * points + point, at most ``limit`` pairs a centre."""
     keys = sorted_keys(keys)
     centre = torch.div(keys, max(points, 1), rounding_mode="floor")
-    size = torch.bincount(centre, minlength=count)
-    rank = torch.arange(len(keys), device=keys.device) - (size.cumsum(0) - size)[centre]
-    keep = rank < limit
-    centre = centre[keep]
-    return Groups(centre, keys[keep] - centre * points, count)
+    return _first_of_each(Groups(centre, torch.sub(keys, centre, alpha=points), count), limit)
+
+
+def _first_of_each(pairs: Groups, limit: int) -> Groups:
+    """The first ``limit`` pairs of each centre."""
+    early = torch.ones_like(pairs.centre, dtype=torch.bool)
+    torch.ne(pairs.centre[limit:], pairs.centre[:-limit], out=early[limit:])  # the pair before by so many is another's
+    row = early.nonzero().squeeze(1)
+    return Groups(pairs.centre.index_select(0, row), pairs.point.index_select(0, row), pairs.centres)
 
 
 def ball_query(
@@ -344,17 +359,31 @@ def ball_query(
         none = torch.zeros(0, dtype=torch.long, device=points.device)
         return [Groups(none, none, m) for _ in radii_m]
     points, centres = points.detach().float(), centres.detach().float()
+    if points.is_cuda and len(lengths) == 1 and n * m <= _DENSE_PAIRS:
+        return all_within(points, centres, radii_m, limits)
     order, low, high = _cells_around(points, lengths, centres, centre_lengths, 1.001 * max(radii_m))
     sorted_points = points[order]
     pairs: list[list[Tensor]] = [[] for _ in radii_m]
-    for part in chunks((high - low).sum(1), _CANDIDATES):
-        point, owner = expand_ranges(low[part].flatten(), high[part].flatten())
+    for part, total in chunks((high - low).sum(1), _CANDIDATES):
+        point, owner = expand_ranges(low[part].flatten(), high[part].flatten(), total)
         centre = torch.div(owner, 3, rounding_mode="floor") + part.start
         gap2 = (sorted_points[point] - centres[centre]).square_().sum(1)
         for radius, keys in zip(radii_m, pairs, strict=True):
-            near = torch.nonzero(gap2 <= radius * radius)[:, 0]
-            keys.append(centre[near] * n + order[point[near]])
-    return [first_pairs(torch.cat(keys), n, limit, m) for keys, limit in zip(pairs, limits, strict=True)]
+            near = torch.nonzero(gap2 <= radius * radius).squeeze(1)
+            row = order.index_select(0, point.index_select(0, near))
+            keys.append(torch.add(row, centre.index_select(0, near), alpha=n))
+    joined = [keys[0] if len(keys) == 1 else torch.cat(keys) for keys in pairs]
+    return [first_pairs(keys, n, limit, m) for keys, limit in zip(joined, limits, strict=True)]
+
+
+def all_within(points: Tensor, centres: Tensor, radii_m: Sequence[float], limits: Sequence[int]) -> list[Groups]:
+    """The groups of :func:`ball_query` for one frame from the distances of all pairs: a third of the calls."""
+    gap2 = (points[:, 0] - centres[:, 0, None]).square_()
+    for axis in (1, 2):
+        gap2 += (points[:, axis] - centres[:, axis, None]).square_()
+    pairs = [(gap2 <= radius * radius).nonzero().unbind(1) for radius in radii_m]
+    groups = [Groups(pair[0], pair[1], len(centres)) for pair in pairs]
+    return [_first_of_each(group, limit) for group, limit in zip(groups, limits, strict=True)]
 
 
 def _cells_around(
@@ -365,14 +394,16 @@ def _cells_around(
     Returns:
         Rows of the points in sorted order, shape (n,); first and one past last place, shape (m, 3) each.
     """
-    corner = torch.minimum(points[:, :2].amin(0), centres[:, :2].amin(0))
-    both = [torch.floor((xyz[:, :2] - corner) / cell_m).long() + 1 for xyz in (points, centres)]
-    nx, ny = (torch.maximum(both[0].amax(0), both[1].amax(0)) + 2).tolist()
-    frames = (frame_rows(lengths, points.device), frame_rows(centre_lengths, points.device))
-    key, around = ((frame * nx + cell[:, 0]) * ny + cell[:, 1] for frame, cell in zip(frames, both, strict=True))
-    order = torch.argsort(key, stable=True)
-    key = key[order]
-    rows = around[:, None] + torch.tensor([-ny, 0, ny], device=points.device)
+    both = torch.cat([points[:, :2], centres[:, :2]])
+    cells = torch.floor((both - both.amin(0)) / cell_m).long() + 1
+    nx, ny = (cells.amax(0) + 2).unbind(0)  # they stay on the device
+    x, y = cells.unbind(1)
+    if len(lengths) > 1:
+        frame = torch.cat([frame_rows(lengths, points.device), frame_rows(centre_lengths, points.device)])
+        x = x + frame * nx
+    key, around = (x * ny + y).split([len(points), len(centres)])
+    key, order = torch.sort(key, stable=True)
+    rows = around[:, None] + torch.arange(-1, 2, device=points.device) * ny
     return order, torch.searchsorted(key, rows - 1), torch.searchsorted(key, rows + 1, right=True)
 
 
@@ -511,12 +542,12 @@ def _of_one_frame(points: Tensor, rois: Tensor, context_m: float) -> list[tuple[
     low = torch.searchsorted(x, (rois[:, 0] - radius_m).contiguous())
     high = torch.searchsorted(x, (rois[:, 0] + radius_m).contiguous(), right=True)
     pairs = []
-    for part in chunks(high - low, _ROI_CANDIDATES):
-        point, roi = expand_ranges(low[part], high[part])
+    for part, total in chunks(high - low, _ROI_CANDIDATES):
+        point, roi = expand_ranges(low[part], high[part], total)
         roi = roi + part.start
         near = torch.nonzero((ranked[point, 1] - rois[roi, 1]).abs() <= radius_m[roi])[:, 0]
         point, roi = point[near], roi[near]
-        inside = (in_roi_frames(ranked[point], rois[roi]).abs() <= half[roi]).all(1)
+        inside = torch.nonzero((in_roi_frames(ranked[point], rois[roi]).abs() <= half[roi]).all(1))[:, 0]
         pairs.append((roi[inside], order[point[inside]]))
     return pairs
 

@@ -31,7 +31,11 @@ def decode_keys(keys: Tensor, shape: Triple) -> Tensor:
     rest = torch.div(keys, ny, rounding_mode="floor")
     above = torch.div(rest, nx, rounding_mode="floor")
     frame = torch.div(above, depth, rounding_mode="floor")
-    return torch.stack([frame, above - frame * depth, rest - above * nx, keys - rest * ny], 1)
+    within = [
+        torch.sub(index, whole, alpha=size)
+        for index, whole, size in ((above, frame, depth), (rest, above, nx), (keys, rest, ny))
+    ]
+    return torch.stack([frame, *within], 1)
 
 
 @dataclass(frozen=True, eq=False)

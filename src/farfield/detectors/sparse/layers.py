@@ -312,6 +312,16 @@ class SubmanifoldConv(_Conv):
     ) -> None:
         super().__init__(c_in, c_out, kernel, bias, book)
 
+    def forward(self, sparse: SparseTensor, relu: bool = False, added: torch.Tensor | None = None) -> SparseTensor:
+        """Apply the layer; with a kernel of one cell it is a product of rows, which needs no rulebook."""
+        if len(self.weight) > 1 or torch.is_grad_enabled():
+            return super().forward(sparse, relu, added)
+        dtype = self.dtype(sparse.features.device.type)
+        features, bias = sparse.features.to(dtype), None if self.bias is None else self.bias.to(dtype)
+        out = features.new_empty(len(features), self.c_out)
+        _multiply(features, self.weight[0].to(dtype), out, bias)
+        return sparse.replace(completed(out, relu, added))
+
     def rulebook(self, sparse: SparseTensor) -> Book:
         """The shared rulebook or table, found on first use."""
         # The stored rulebook keeps the keys alive, so that their id stays theirs.

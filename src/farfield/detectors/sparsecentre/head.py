@@ -24,6 +24,7 @@ from farfield.detectors.losses import normaliser
 from farfield.detectors.network import ClassRows
 from farfield.detectors.nms import boxes_after_nms, rotated_nms, wrap_angle
 from farfield.detectors.sparse import FLAT, SparseTensor, SubmanifoldConv, decode_keys, neighbour_table, normalised
+from farfield.detectors.sparse.tables import DeviceBook
 from farfield.geometry.boxes import Boxes
 from farfield.vocabulary.classes import CIRRUS_SIZES_M
 
@@ -112,7 +113,9 @@ class BoxTensors(NamedTuple):
     def of(cls, target: CentreTargets, device: torch.device) -> "BoxTensors":
         """Copy a frame's targets to the device."""
         floats = [target.centre_m, target.size_m, target.yaw_rad, target.weight]
-        centre, size, yaw, weight = (torch.from_numpy(np.asarray(part)).float().to(device) for part in floats)
+        centre, size, yaw, weight = (
+            torch.tensor(np.asarray(part), dtype=torch.float32, device=device) for part in floats
+        )
         return cls(centre, size, yaw, torch.from_numpy(target.kind).to(device), weight)
 
 
@@ -272,6 +275,7 @@ class CentreMaps(NamedTuple):
         votes: Foreground logit and step to the centre in cells, before diffusion, shape (m, 3).
         vote_keys: The cells before diffusion, shape (m,).
         frames: Number of frames.
+        around: Rows of the cells around each and its own, those of FLAT, where the layers left such a table behind.
     """
 
     logits: Tensor
@@ -281,6 +285,7 @@ class CentreMaps(NamedTuple):
     votes: Tensor
     vote_keys: Tensor
     frames: int
+    around: Tensor | None = None
 
 
 _LOSSES = ("heat", "box", "foreground", "vote")
@@ -330,8 +335,9 @@ class CentreHead(nn.Module):
         sparse = features.sparse.replace(in_type_of(self, features.sparse.features))
         votes, heights = (cast(SparseTensor, features.aux[name]) for name in ("votes", "height_m"))
         logits, codes = self.heat(self.heat_stem(sparse).features), self.box(self.box_stem(sparse).features)
-        height_m = heights.features.squeeze(1)
-        return CentreMaps(logits, codes, height_m, sparse.keys, votes.features, votes.keys, sparse.batch_size)
+        height_m, book = heights.features.squeeze(1), self.heat_stem.conv.rulebook(sparse)
+        around = book.table if isinstance(book, DeviceBook) else None
+        return CentreMaps(logits, codes, height_m, sparse.keys, votes.features, votes.keys, sparse.batch_size, around)
 
     def places_m(self, keys: Tensor) -> tuple[Tensor, Tensor]:
         """Frame (n,) and centre x, y (n, 2) of cells."""
@@ -391,7 +397,8 @@ class CentreHead(nn.Module):
         """The boxes at all peaks, rows (n, 7) float64, their scores, classes and frames, each of shape (n,)."""
         logits = maps.logits.float()
         confident = logits >= logit(self.config.score_threshold)
-        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells) & confident
+        around = maps.around if self.config.peak_cells == 1 else None
+        passed = peaks(logits, maps.keys, self.shape, self.config.peak_cells, around) & confident
         row, kind = passed.nonzero().unbind(1)
         frame, place_m = self.places_m(maps.keys[row])
         rows = decode(maps.codes[row], place_m, maps.height_m[row], self.cell_m)
@@ -424,14 +431,23 @@ class CentreHead(nn.Module):
         return boxes[rotated_nms(boxes, iou_threshold=self.config.nms_iou, limit=self.config.max_boxes)]
 
 
-def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], radius: int) -> Tensor:
-    """Where no occupied cell within ``radius`` steps is hotter, a class each, shape (n, classes), bool."""
+def peaks(logits: Tensor, keys: Tensor, shape: tuple[int, int], radius: int, table: Tensor | None = None) -> Tensor:
+    """Where no occupied cell within ``radius`` steps is hotter, a class each, shape (n, classes), bool.
+
+    Args:
+        logits: Heat of each class, shape (n, classes).
+        keys: The cells, shape (n,).
+        shape: Cells of the map along x and y.
+        radius: Steps.
+        table: Rows of the cells within them, ``n`` for none, shape (n, k), int32; found where none is at hand.
+    """
     side = range(-radius, radius + 1)
-    around = [(0, dx, dy) for dx, dy in product(side, side) if (dx, dy) != (0, 0)]
-    table = neighbour_table(keys, keys, (1, *shape), around).long()
+    if table is None:
+        around = [(0, dx, dy) for dx, dy in product(side, side) if (dx, dy) != (0, 0)]
+        table = neighbour_table(keys, keys, (1, *shape), around)
     padded = torch.cat([logits, logits.new_full((1, logits.shape[1]), -torch.inf)])
     if logits.is_cuda:
-        return logits >= padded[table].amax(1)
+        return logits >= padded.index_select(0, table.view(-1)).view(*table.shape, -1).amax(1)
     best = torch.full_like(logits, -torch.inf)  # on a CPU the gathered rows of all steps would leave the cache
     for column in table.unbind(1):
         best = torch.maximum(best, padded[column])

@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from farfield.detectors.config import OLD_NAMES, Channels, VoxelGridConfig
+from farfield.detectors.devices import constant
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.network import InputColumns, MapDetector
@@ -210,10 +211,16 @@ def merge_heights(sparse: SparseTensor) -> SparseTensor:
 
 def flat_keys(sparse: SparseTensor, stride: int = 1) -> Tensor:
     """Key of each cell's column in the map of depth 1 whose cells are ``stride`` times as long, shape (n,), int64."""
-    frame, _, ix, iy = sparse.indices().unbind(1)
-    _, nx, ny = sparse.shape
-    columns = [torch.div(index, stride, rounding_mode="floor") for index in (ix, iy)]
-    return (frame * (nx // stride) + columns[0]) * (ny // stride) + columns[1]
+    depth, nx, ny = sparse.shape
+    column = sparse.keys.remainder(nx * ny)
+    if stride > 1:
+        line = torch.div(column, ny, rounding_mode="floor")
+        places = [torch.div(at, stride, rounding_mode="floor") for at in (line, torch.sub(column, line, alpha=ny))]
+        column = torch.add(places[1], places[0], alpha=ny // stride)
+    if sparse.batch_size == 1:
+        return column
+    frame = torch.div(sparse.keys, depth * nx * ny, rounding_mode="floor")
+    return torch.add(column, frame, alpha=(nx // stride) * (ny // stride))
 
 
 class SparsePyramid(nn.Module):
@@ -308,9 +315,10 @@ class CentreDiffusion(nn.Module):
         carried = self.carry(torch.cat([sparse.features[rows], rest.to(sparse.features.dtype)], 1))
         carried = carried * score[rows, None].to(carried.dtype)
         landed, stayed = torch.searchsorted(keys, voted), torch.searchsorted(keys, sparse.keys)
-        features, _ = means_at(carried, landed, len(keys))
+        joined = torch.cat([carried.double(), height_m[rows, None].double()], 1)
+        means, has_height = means_at(joined, landed, len(keys))
+        features, height = means[:, :-1].to(carried.dtype), means[:, -1].detach().to(height_m.dtype)
         features = features.index_add(0, stayed, sparse.features.to(features.dtype))
-        height, has_height = means_at(height_m[rows], landed, len(keys))
         has_height = has_height.index_fill(0, stayed, True)
         height = _spread(height.index_copy(0, stayed, height_m), has_height, keys, sparse.shape, self.ring)
         grown = SparseTensor(features, keys, sparse.shape, sparse.batch_size, sparse.rulebooks)
@@ -319,18 +327,20 @@ class CentreDiffusion(nn.Module):
     def _landing(self, sparse: SparseTensor, score: Tensor, steps: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Rows of the voting cells, keys of the cells they vote for, and their places in those cells, (v, 2)."""
         _, nx, ny = sparse.shape
-        frame, _, ix, iy = sparse.indices().unbind(1)
-        chosen = score > self.threshold
-        frames = torch.arange(sparse.batch_size + 1, device=frame.device) * (nx * ny)
-        edges = torch.searchsorted(sparse.keys, frames).tolist()
+        indices, chosen, edges = sparse.indices(), score > self.threshold, [0, len(score)]
+        if sparse.batch_size > 1:
+            frames = torch.arange(sparse.batch_size + 1, device=score.device) * (nx * ny)
+            edges = torch.searchsorted(sparse.keys, frames).tolist()
         for start, end in pairwise(edges):
             best = torch.topk(score[start:end], min(self.least, end - start)).indices
-            chosen[start + best] = True
-        target = torch.stack([ix, iy], 1) + 0.5 + steps
+            chosen[start:end].index_fill_(0, best, True)
+        target = indices[:, 2:] + 0.5 + steps
         cell = torch.floor(target.detach()).long()
-        chosen &= (cell[:, 0] >= 0) & (cell[:, 0] < nx) & (cell[:, 1] >= 0) & (cell[:, 1] < ny)
-        rows = chosen.nonzero().squeeze(1)
-        return rows, ((frame * nx + cell[:, 0]) * ny + cell[:, 1])[rows], (target - cell - 0.5)[rows]
+        inside = (cell >= 0) & (cell < constant((float(nx), float(ny)), cell.device, torch.long))
+        rows = (inside.all(1) & chosen).nonzero().squeeze(1)
+        target, cell = target[rows], cell[rows]
+        keys = (indices[rows, 0] * nx + cell[:, 0]) * ny + cell[:, 1]
+        return rows, keys, target - cell - 0.5
 
 
 def means_at(values: Tensor, group: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -348,7 +358,7 @@ def means_at(values: Tensor, group: Tensor, count: int) -> tuple[Tensor, Tensor]
         The means, shape (count, ...), of the values' dtype, and whether rows fall there, shape (count,).
     """
     total = values.new_zeros(count, *values.shape[1:], dtype=torch.float64).index_add(0, group, values.double())
-    rows = total.new_zeros(count).index_add(0, group, total.new_ones(len(group)))
+    rows = total.new_zeros(count).index_add_(0, group, total.new_ones(len(group)))
     divisor = rows.clamp(min=1).reshape(-1, *[1] * (values.dim() - 1))
     return (total / divisor).to(values.dtype), rows > 0
 
@@ -358,7 +368,7 @@ def _spread(
 ) -> Tensor:
     """Give cells without a height the mean of their neighbours'."""
     empty = (~has_height).nonzero().squeeze(1)
-    table = neighbour_table(keys, keys[empty], shape, ring).long()
+    table = neighbour_table(keys, keys[empty], shape, ring)
     weight = torch.cat([has_height, has_height.new_zeros(1)]).to(height_m.dtype)[table]
     around = torch.cat([height_m, height_m.new_zeros(1)])[table]
     return height_m.index_copy(0, empty, (around * weight).sum(1) / weight.sum(1).clamp(min=1))

@@ -24,6 +24,7 @@ from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation import as_trained, detect, suitable_clouds
+from farfield.evaluation.leakage import digests_text
 from farfield.experiments.adapting.options import (
     THRESHOLDS,
     AdaptationOptions,
@@ -34,11 +35,13 @@ from farfield.experiments.adapting.options import (
 )
 from farfield.experiments.adapting.report import HeldOutFrames, held_frames, held_scores, page_of
 from farfield.experiments.adapting.rounds import (
+    check_minutes,
     check_round,
     experiment_of_round,
     measured_step_s,
     pseudo_label_rates,
     rare_classes,
+    simulated_frame_s,
     steps_in,
     steps_wanted,
 )
@@ -47,6 +50,7 @@ from farfield.experiments.frames import spread
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
+from farfield.files.sizes import sized
 from farfield.jobs import JobOptions
 from farfield.metrics.detections import Detections
 from farfield.metrics.score_calibration import thresholds_of
@@ -305,8 +309,29 @@ class AdaptationJob:
         config, frames = self.target
         for cloud in config.clouds:
             self.detector.with_cloud(cloud)(frames[0])  # reads it, or says why it cannot
+        if self.choices.minutes:
+            self.check_time()
         if self.held is not None:
             as_trained(self.held.frames, self.detector.info)[0].cloud(next(iter(config.clouds)))
+
+    def check_time(self) -> None:
+        """Refuse minutes that cannot suffice, by the time of one search and one simulated frame.
+
+        An adaptation that goes on has some of its work behind it, and is not checked.
+        """
+        if any(self.folder.glob(".found-*")) or (self.folder / THRESHOLDS).is_file():
+            return
+        choices, (config, frames) = self.choices, self.target
+        detector = self.detector.with_cloud(next(iter(config.clouds)))
+        begun = time.perf_counter()
+        detector(frames[0])  # its second time: nothing is compiled or allocated now
+        sweep_s, frame_s, simulated = time.perf_counter() - begun, 0.0, 0
+        if self.labelled_source is None and not (self.folder / FOLDER).is_dir():
+            simulation = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
+            recording = planned_recording(simulation, self.folder / FOLDER)
+            frame_s, simulated = simulated_frame_s(recording), sum(recording.plan)
+        sweeps = len(frames) * (choices.rounds + 1) + choices.source_frames * (self.labelled_source is None)
+        check_minutes(choices, sweep_s, sweeps, frame_s, simulated, steps_wanted(choices, self.learnt))
 
     def dry_run(self) -> list[str]:
         """What is to be done, in lines; as many rounds and steps as are chosen, which --minutes may lower."""
@@ -316,8 +341,8 @@ class AdaptationJob:
         else:
             simulation = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
             recording = planned_recording(simulation, self.folder / FOLDER)
-            room = bytes_needed(recording, sum(recording.plan)) / 1e9
-            source = f"{sum(recording.plan)} frames of {simulation.preset}, simulated, at most {room:.2f} GB"
+            most = sized(bytes_needed(recording, sum(recording.plan)))
+            source = f"{sum(recording.plan)} frames of {simulation.preset}, simulated, at most {most}"
         searched = f"{len(self.target[1])} sweeps searched {choices.rounds + 1} times"
         limit = f", or fewer: {choices.minutes:g} minutes" if choices.minutes else ""
         return [f"source: {source}", f"{searched}, {choices.rounds} rounds of {steps} steps{limit}"]
@@ -497,6 +522,7 @@ class AdaptationJob:
         adapted = {
             "start": self.start,
             "start_digest": self.detector.digest(),
+            "start_frame_digests": digests_text(self.detector.provenance),
             "start_trained_on": self.detector.provenance.get("experiment", {}).get("data"),
             "target_fingerprint": calibration.settings["target"],
             "source_fingerprint": calibration.settings["source"],

@@ -11,6 +11,7 @@ from farfield.datasets import Dataset
 from farfield.errors import ConfigError
 from farfield.experiments.adapting.options import CalibratedThresholds
 from farfield.experiments.adapting.rounds import confident_boxes
+from farfield.experiments.frames import without
 from farfield.experiments.validation import relabel_annotations
 from farfield.frame import Boxes, Key
 from farfield.frame.provenance import environment, is_simulated
@@ -183,7 +184,7 @@ class HeldOutFrames:
 
 
 def held_frames(labels: Dataset, learnt: Dataset) -> HeldOutFrames:
-    """The annotated frames of a data set, without those that are learnt from.
+    """The annotated frames of a data set, without those that are learnt from, by name or by contents.
 
     Args:
         labels: The labelled data set; it may be the target itself.
@@ -195,15 +196,15 @@ def held_frames(labels: Dataset, learnt: Dataset) -> HeldOutFrames:
     same = labels.root.resolve() == learnt.root.resolve()
     learnt_keys = set(learnt.keys) if same else set()
     annotated = [index for index in range(len(labels)) if labels.has_annotation(index)]
-    left = [index for index in annotated if labels.keys[index] not in learnt_keys]
-    if not left:
+    left = without(labels.select(annotated), learnt)
+    if not len(left):
         why = f"all {len(annotated)} are learnt from" if annotated else f"none of {len(labels)} is annotated"
         raise ConfigError(
             f"labels: expected annotated frames in {labels.root} that are not learnt from; {why}. Learn from fewer "
             "with --frames, or name labelled frames of other drives."
         )
-    drives = {labels.sequences[index] for index in left}
-    return HeldOutFrames(frames=labels.select(left), shared_drives=len(drives & {drive for drive, _ in learnt_keys}))
+    shared = set(left.sequences) & {drive for drive, _ in learnt_keys}
+    return HeldOutFrames(frames=left, shared_drives=len(shared))
 
 
 def held_scores(

@@ -1,5 +1,6 @@
 """Training in rounds: a teacher's pseudo boxes teach for a fixed number of steps, then its student is the teacher."""
 
+import os
 import statistics
 import tempfile
 import time
@@ -21,6 +22,7 @@ from farfield.training.report import TrainingReport
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
+    from farfield.simulation.recording.options import Recording
 
 _SHARE, _MOST, _LEAST = 0.25, 1000, 100  # of the source's steps, and the bounds of that
 _FEWEST = 20  # steps of a round
@@ -53,6 +55,46 @@ def steps_in(seconds: float, step_s: float, choices: AdaptationOptions, most: in
             "minutes, or fewer --frames and --source-frames."
         )
     return min(most, fitting)
+
+
+def check_minutes(
+    choices: AdaptationOptions, sweep_s: float, sweeps: int, frame_s: float, simulated: int, most: int
+) -> None:
+    """See that the minutes can suffice, before the work: what is left for training counts later.
+
+    Args:
+        choices: What was chosen.
+        sweep_s: Time in which the detector searches a sweep, seconds; other processes at best halve it.
+        sweeps: Sweeps that are searched, in all.
+        frame_s: Time in which a source frame is simulated by one core, seconds.
+        simulated: Frames that are to be simulated.
+        most: Steps of a round, where time sets no limit.
+
+    Raises:
+        ConfigError: If even searching, simulating and the fewest steps that are worth it would last longer.
+    """
+    steps = min(most, _FEWEST)
+    least_s = 0.5 * sweep_s * sweeps + frame_s * simulated / (os.cpu_count() or 1) + sweep_s * steps * choices.rounds
+    if least_s <= 60 * choices.minutes:
+        return
+    work = f"{simulated} frames to simulate, {sweeps} sweeps to search"
+    raise ConfigError(
+        f"--minutes: expected enough for {work} and {steps} steps in each of {choices.rounds} rounds, about "
+        f"{least_s / 60:.2g} minutes or more on this machine; got {choices.minutes:g}. Give more minutes, or fewer "
+        "--frames, --source-frames or --rounds."
+    )
+
+
+def simulated_frame_s(recording: "Recording") -> float:
+    """Time in which this machine simulates a frame whose road is made already, seconds."""
+    from farfield.simulation.sequence import simulate_frame
+
+    clock_s = []
+    for index in sorted({0, min(1, recording.plan[0] - 1)}):
+        begun = time.perf_counter()
+        simulate_frame(recording.preset, seed=recording.seed, sequence=0, index=index, sensors=recording.sensors)
+        clock_s.append(time.perf_counter() - begun)
+    return clock_s[-1] if len(clock_s) > 1 else 0.0  # a first frame also makes its road
 
 
 def experiment_of_round(

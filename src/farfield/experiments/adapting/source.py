@@ -12,6 +12,7 @@ from farfield.errors import ConfigError
 from farfield.evaluation import as_trained, suitable_clouds
 from farfield.experiments.frames import annotated_frames, spread
 from farfield.experiments.schema import DataConfig
+from farfield.frame.provenance import SIMULATION_FILE
 from farfield.simulation.recording import SimulationConfig, ensure
 from farfield.training.augmentation import Progress
 from farfield.training.config import AugmentationConfig
@@ -140,12 +141,18 @@ def source_frames(
         The experiment's settings of the stream, and its frames.
 
     Raises:
-        ConfigError: If there is nothing to simulate, or no cloud suits the detector.
+        ConfigError: If there is nothing to simulate, if other data stand where they would be simulated, or if no cloud
+            suits the detector.
         DatasetError: If no frame is annotated, or ``whole_bodies`` is set and they are not known.
     """
     simulate = None if labelled is not None else simulation_of(learnt, frames, seed, name)
     path = folder / FOLDER if labelled is None else labelled
     ensure(simulate, path, progress, say)
+    if simulate is not None and not (path / SIMULATION_FILE).is_file():
+        raise ConfigError(
+            f"adapt: expected {path} absent, or simulated by an earlier call; farfield simulate did not make what "
+            "stands there. Name labelled frames of your own with --source, or another folder with --out."
+        )
     options = recipe_of_experiment({"options": learnt.options})["options"] if labelled is None else {}
     opened = open_dataset(path, **options)
     view = {"whole_bodies": True} if whole_bodies and "whole_bodies" in opened.view_options else {}

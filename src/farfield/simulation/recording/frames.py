@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.errors import DatasetError, plain
 from farfield.files.atomic import write_text
-from farfield.frame.provenance import SIMULATION_FILE
+from farfield.files.sizes import room
+from farfield.frame.provenance import SIMULATION_FILE, SIMULATION_JOURNAL
 from farfield.jobs import JobJournal, Unit, UnitResult
 from farfield.jobs.folders import STAGING
 from farfield.jobs.journal import mark_of, state_of
@@ -20,10 +21,9 @@ from farfield.vocabulary.kradar import OUSTER_LINES
 from farfield.vocabulary.patterns import PATTERNS
 
 if TYPE_CHECKING:
+    from farfield.datasets import Dataset
     from farfield.frame import Frame
     from farfield.simulation import Preset
-
-JOURNAL_NAME = ".farfield_simulate.jsonl"
 
 # Bytes a frame by sensor, generously; an Ouster's point takes 80 bytes of ASCII, a Luminar's 70.
 _BYTES = {
@@ -46,6 +46,37 @@ _CACHE_FACTOR = 1.6  # bytes with the binary cache over bytes without
 
 _WORKER_BYTES, _RADAR_WORKER_BYTES = 600_000_000, 1_500_000_000
 _RADAR_SENSORS = {"cells", "sparse", "polar3d", "cube", "tesseract"}
+
+
+def recorded_frames(folder: Path, data: "Dataset") -> int:
+    """How many frames are read from a file that ``farfield simulate`` wrote there, by its journal: by names and sizes.
+
+    All of them where the journal was not copied along.
+
+    Args:
+        folder: The recording.
+        data: Its frames.
+
+    Raises:
+        DatasetError: If the journal is damaged.
+    """
+    path = folder / SIMULATION_JOURNAL
+    if not path.is_file() or not data.stored:
+        return len(data)
+    sizes: dict[str, int] = {}
+    for number, line in enumerate(path.read_bytes().split(b"\n")[:-1], 1):
+        try:
+            sizes |= {name: mark[0] for name, mark in json.loads(line.partition(b"\t")[0])["files"].items()}
+        except (ValueError, AttributeError, TypeError, LookupError) as error:
+            raise DatasetError(f"{path}: line {number} is damaged ({plain(error)[:200]}). Remove the line.") from error
+    root = folder.absolute()
+    recorded = 0
+    for index in range(len(data)):
+        files = [file.absolute() for file in data.files(index) if file.absolute().is_relative_to(root)]
+        recorded += any(
+            sizes.get(file.relative_to(root).as_posix()) == file.stat().st_size for file in files if file.is_file()
+        )
+    return recorded
 
 
 def claim(recording: Recording) -> None:
@@ -121,8 +152,8 @@ def units_of(recording: Recording) -> list[Unit]:
 def journal_of(recording: Recording) -> JobJournal:
     """What was written before with these very settings; frames of before there was a journal are entered."""
     setting = json.dumps([recording.preset.as_json(), recording.seed, recording.sensors, recording.cache])
-    path = recording.out / JOURNAL_NAME
-    begun = any(path.name not in (SIMULATION_FILE, JOURNAL_NAME) for path in recording.out.iterdir())
+    path = recording.out / SIMULATION_JOURNAL
+    begun = any(path.name not in (SIMULATION_FILE, SIMULATION_JOURNAL) for path in recording.out.iterdir())
     journal = JobJournal(path, setting)
     for unit in units_of(recording) if begun else ():
         if not journal.has(unit) and (paths := _complete(recording, *unit.parameters)):
@@ -170,8 +201,8 @@ def check_disk(recording: Recording, count: int) -> None:
     free, needed = shutil.disk_usage(recording.out).free, bytes_needed(recording, count)
     if round(needed) > free:
         raise DatasetError(
-            f"{recording.out}: {count} frames need about {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are free. Write "
-            "fewer frames (--frames), fewer sensors (--sensors), or to another disk."
+            f"{recording.out}: for {count} frames about {room(needed, free)}. Write fewer frames (--frames), fewer "
+            "sensors (--sensors), or to another disk."
         )
 
 
