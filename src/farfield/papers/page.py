@@ -213,9 +213,9 @@ def _facts(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[tuple[
         machine = ", ".join(word for word in (device, group["precision"], f"torch {group['torch']}") if word)
         runs = f"{group['runs']} run{'' if group['runs'] == 1 else 's'}"
         groups.append(f"{runs}: {machine}, commit {group['commit']}")
-    here, planned, asked = summary["environment"], timing["planned"], timing.get("asked", {})
+    here, planned, options = summary["environment"], timing["planned"], timing.get("options", {})
     cost = f"{planned['core_minutes']:.0f} core minutes" if planned["core_minutes"] else "all trainings were there"
-    chosen = {name: asked.get(name, "") for name in ("device", "precision")}
+    chosen = {name: options.get(name, "") for name in ("device", "precision")}
     flags = ", ".join(f"{name} {value}" for name, value in chosen.items() if value not in ("", "auto"))
     return [
         ("budget", f"{summary['budget']}: {summary['words']}"),

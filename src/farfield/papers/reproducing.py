@@ -471,8 +471,8 @@ class Reproduction:
         write_text(self.out / SUMMARY, json.dumps(summary, indent=1) + "\n")
         # what the clocks measured, and the page
         runs = {job.folder: {"runs": list(job.runs), "clock": clocks_of(job, self._runs)} for job in done}
-        asked = {"device": self.device, "precision": self.precision, "workers": self.num_workers}
-        timing = {"planned": outline.to_json(), "asked": asked, "runs": runs}
+        flags = {"device": self.device, "precision": self.precision, "workers": self.num_workers}
+        timing = {"planned": outline.to_json(), "options": flags, "runs": runs}
         write_text(self.out / TIMING, json.dumps(timing, indent=1) + "\n")
         curves = curves_of(scores, self.settings.score)
         return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns, sheets=sheets)
