@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -18,38 +18,42 @@ if TYPE_CHECKING:
     from farfield.metrics import Protocol
 
 _UNNAMED = tyro.conf.arg(name="")
+PointTimes = Literal["auto", "s", "ms", "us", "ns", "none"]  # as in farfield.files.point_times, which waits
 """The fields of a group are flags without the group's name before them."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReadingFlags:
-    """How a data set's files are read.
+class CloudFlags:
+    """How cloud files are read, where they do not say it and their numbers do not show it.
 
     Args:
-        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
-        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
-        roots: Further folders of a K-Radar that is spread over several disks.
         columns: Columns of .bin files; what the numbers themselves show unless given.
+        intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
+            given.
+        point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
         radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
     """
 
-    mapping: Path | None = None
-    labels: str | None = None
-    roots: tuple[Path, ...] = ()
     columns: int | None = None
+    intensity_scale: float | None = None
+    point_times: PointTimes = "auto"
     radars: tuple[str, ...] = ()
+
+    @property
+    def cloud_options(self) -> dict[str, Any]:
+        """Those of cloud files, as any reader of such takes them."""
+        options = {
+            "bin_columns": self.columns,
+            "intensity_scale": self.intensity_scale,
+            "point_times": None if self.point_times == "auto" else self.point_times,
+            "radars": self.radars or None,
+        }
+        return {name: value for name, value in options.items() if value is not None}
 
     @property
     def options(self) -> dict[str, Any]:
         """What :func:`farfield.open_dataset` takes of the flags that are set."""
-        options = {
-            "mapping": self.mapping,
-            "labels": self.labels,
-            "roots": self.roots,
-            "bin_columns": self.columns,
-            "radars": self.radars,
-        }
-        return {name: value for name, value in options.items() if value}
+        return self.cloud_options
 
     def open(self, path: Path, **options: Any) -> "Dataset":
         """Open a data set; further options are those of :func:`farfield.open_dataset`, left out where empty."""
@@ -60,6 +64,32 @@ class ReadingFlags:
         for note in opened.unwrapped.notes:
             print(f"warning: {note}", file=sys.stderr)
         return opened
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingFlags(CloudFlags):
+    """How a data set's files are read.
+
+    Args:
+        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
+        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
+        roots: Further folders of a K-Radar that is spread over several disks.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
+        intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
+            given.
+        point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
+        radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
+    """
+
+    mapping: Path | None = None
+    labels: str | None = None
+    roots: tuple[Path, ...] = ()
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What :func:`farfield.open_dataset` takes of the flags that are set."""
+        options = {"mapping": self.mapping, "labels": self.labels, "roots": self.roots}
+        return {name: value for name, value in options.items() if value} | self.cloud_options
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,11 +215,13 @@ class ScoringFlags:
 
 
 Reading = Annotated[ReadingFlags, _UNNAMED]
+Clouds = Annotated[CloudFlags, _UNNAMED]
 Jobs = Annotated[JobFlags, _UNNAMED]
 ShownBoxes = Annotated[BoxFlags, _UNNAMED]
 Scoring = Annotated[ScoringFlags, _UNNAMED]
 
 AS_THEY_ARE = ReadingFlags()
+BY_THE_NUMBERS = CloudFlags()
 ALL_CORES = JobFlags()
 OWN_BOXES = BoxFlags()
 OWN_SCORING = ScoringFlags()

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._flags import names
+from farfield.cli._flags import BY_THE_NUMBERS, Clouds, names
 
 
 def run(
@@ -26,6 +26,7 @@ def run(
     threshold: float = 0.1,
     frame: str = "",
     labels: str = "",
+    clouds: Clouds = BY_THE_NUMBERS,
     edits: Path | None = None,
     port: int | None = None,
     browser: bool = True,
@@ -56,6 +57,7 @@ def run(
         threshold: Least score of a detector's boxes.
         frame: Frame to begin with: its number, or sequence/frame.
         labels: Release of K-Radar's labels to edit: v2.1, v2.0, v1.1 or v1.0; the newest there is unless given.
+        clouds: How cloud files are read.
         edits: Folder of the journal; .farfield-studio beside the labels unless given.
         port: Port to listen on; the first free one from 8877 on unless given.
         browser: Open the browser; never over SSH.
@@ -63,7 +65,7 @@ def run(
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 
-    opening = DatasetOpener(data, labels=labels)
+    opening = DatasetOpener(data, **clouds.options, labels=labels)
     settings = StudioSettings(
         mode="annotate",
         title=opening.title,

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, Jobs, parse_pairs
+from farfield.cli._flags import ALL_CORES, CloudFlags, Jobs, PointTimes, parse_pairs
 from farfield.cli._output import read_json, write_json
 
 if TYPE_CHECKING:
-    from farfield.datasets import Dataset
     from farfield.inspection.comparison import ComparedDataset
     from farfield.pages.dataset_pages import ComparisonLine
 
@@ -31,6 +30,12 @@ def run(
     jobs: Jobs = ALL_CORES,
     mapping_a: Path | None = None,
     mapping_b: Path | None = None,
+    columns_a: int | None = None,
+    columns_b: int | None = None,
+    intensity_scale_a: float | None = None,
+    intensity_scale_b: float | None = None,
+    point_times_a: PointTimes = "auto",
+    point_times_b: PointTimes = "auto",
     out: Path | None = None,
     json: Path | None = None,
 ) -> int:
@@ -56,6 +61,14 @@ def run(
         jobs: Who does the work.
         mapping_a: Mapping YAML of a, if it is a Cirrus copy that deviates from the documented layout.
         mapping_b: The same of b.
+        columns_a: Columns of .bin files of a; what the numbers themselves show unless given.
+        columns_b: The same of b.
+        intensity_scale_a: Value that stands for full reflectance in all clouds of a; 1, 255 or 65535 by some of them
+            unless given.
+        intensity_scale_b: The same of b.
+        point_times_a: Unit of the points' times of a; auto decides by the sweeps' period, none leaves the column as it
+            is.
+        point_times_b: The same of b.
         out: Folder to write into; runs/compare-A-B unless given.
         json: Write what is in comparison.json into this file too; - prints it.
     """
@@ -69,7 +82,9 @@ def run(
     if not labels:
         raise ConfigError(f"--vehicle-labels: expected at least one class, got {vehicle_labels!r}")
     called = _names(names, (a, b))
-    opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
+    reading_a = CloudFlags(columns=columns_a, intensity_scale=intensity_scale_a, point_times=point_times_a)
+    reading_b = CloudFlags(columns=columns_b, intensity_scale=intensity_scale_b, point_times=point_times_b)
+    opened = [reading_a.open(a, mapping=mapping_a), reading_b.open(b, mapping=mapping_b)]
     sides: Sequence[ComparedDataset] = [
         count_dataset(data, name, frames, jobs.options(name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
@@ -99,12 +114,6 @@ def _names(names: str, paths: Sequence[Path]) -> tuple[str, str]:
     if titles[0] == titles[1]:
         titles = f"A: {titles[0]}", f"B: {titles[1]}"
     return titles[0], titles[1]
-
-
-def _open(path: Path, mapping: Path | None) -> "Dataset":
-    from farfield.datasets import open_dataset
-
-    return open_dataset(path, mapping=mapping) if mapping else open_dataset(path)
 
 
 def _print(lines: "Sequence[ComparisonLine]", sides: "Sequence[ComparedDataset]") -> None:

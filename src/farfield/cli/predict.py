@@ -179,4 +179,4 @@ def _frames(files: tuple[Path, ...], rotate_deg: float, reading: ReadingFlags) -
         )
     if rotate_deg:
         raise DatasetError("--rotate-deg turns the frames of a data set; put the clouds into a folder and name that.")
-    return CloudFiles(files, bin_columns=reading.columns)
+    return CloudFiles(files, **reading.cloud_options)

@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, JobFlags, Jobs
+from farfield.cli._flags import ALL_CORES, BY_THE_NUMBERS, Clouds, JobFlags, Jobs
 from farfield.vocabulary.scores import SHOWN_SCORE
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
 
 
 def run(
@@ -23,6 +26,7 @@ def run(
     frames: int = 0,
     reach_m: float = 100.0,
     rate_hz: float = 0.0,
+    reading: Clouds = BY_THE_NUMBERS,
     jobs: Jobs = ALL_CORES,
 ) -> int:
     """Turn an evaluation or a training into one self-contained HTML page, or a drive of a data set into a film.
@@ -52,11 +56,12 @@ def run(
         frames: Only so many frames from its beginning; 0: all.
         reach_m: How far ahead the film's views from above show.
         rate_hz: Frames a second; 0 takes the drive's own.
+        reading: How the film's cloud files are read.
         jobs: Who does the work.
     """
     if film is not None:
         boxes = None if predictions is None else (predictions, format)
-        return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
+        return _film(reading.open(evaluation), film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
     from farfield.errors import ConfigError
     from farfield.evaluation.record import EVALUATION, Evaluation
     from farfield.experiments.course import course_of, is_run
@@ -77,7 +82,7 @@ def run(
 
 
 def _film(
-    root: Path,
+    opened: "Dataset",
     film: Path,
     predictions: tuple[Path, str] | None,
     drive: str,
@@ -85,14 +90,13 @@ def _film(
     shown: tuple[float, float, float],
     jobs: JobFlags,
 ) -> int:
-    from farfield.datasets import open_dataset
     from farfield.evaluation import in_coordinates
     from farfield.files.sizes import sized
     from farfield.metrics.box_files import read_predictions
     from farfield.pages.film import FilmSettings, drive_named, make_film
 
     predicted = None if predictions is None else read_predictions(predictions[0], format=predictions[1])
-    data = in_coordinates(open_dataset(root), "" if predicted is None else predicted.reference)
+    data = in_coordinates(opened, "" if predicted is None else predicted.reference)
     drive_shown = drive_named(data, drive)
     if frames:
         data = data.select([int(index) for index in drive_shown.indices[:frames]])

@@ -5,7 +5,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._flags import names
+from farfield.cli._flags import BY_THE_NUMBERS, Clouds, names
 
 
 def run(
@@ -18,6 +18,7 @@ def run(
     threshold: float = 0.1,
     frame: str = "",
     labels: str = "",
+    clouds: Clouds = BY_THE_NUMBERS,
     reference: str = "",
     html: Path | None = None,
     port: int | None = None,
@@ -44,6 +45,7 @@ def run(
         threshold: Least score of a detector's boxes.
         frame: Frame to begin with: its number, or sequence/frame; with --html several, comma-separated.
         labels: Release of K-Radar's labels: v2.1, v2.0, v1.1 or v1.0; the newest there is unless given.
+        clouds: How cloud files are read.
         reference: Coordinates in which to show: K-Radar's os2-64 (as it is) or radar.
         html: Write the frames into one HTML file that opens from disk, and end; at most 20 frames.
         port: Port to listen on; the first free one from 8877 on unless given.
@@ -52,7 +54,7 @@ def run(
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 
-    opening = DatasetOpener(data, labels=labels, reference=reference)
+    opening = DatasetOpener(data, **clouds.options, labels=labels, reference=reference)
     settings = StudioSettings(
         mode="view",
         title=opening.title,

@@ -15,16 +15,18 @@ from pathlib import Path
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.json_labels import DatumaroLabels, SuperviselyLabels, annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
 from farfield.files.datumaro import parse_datumaro
+from farfield.files.point_times import PointTimes
 from farfield.files.supervisely import parse_supervisely
 from farfield.files.tracklets import parse_tracklets
 from farfield.frame import Annotation, Frame, Lazy, Sensor
-from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
+from farfield.frame.cloud import CLOUD_SUFFIXES
 
 _KITTI_CLOUDS, _TRACKLETS = "velodyne_points/data", "tracklet_labels.xml"
 ByFrame = Mapping[str, tuple[Cuboid, ...]]
@@ -68,7 +70,7 @@ def _task(folder: Path) -> CvatTask | None:
         labels = tuple(sorted(folder.glob(pattern)))
         if labels and (folder / cloud_folder).is_dir():
             paths = sorted((folder / cloud_folder).rglob("*"))
-            clouds = tuple(path for path in paths if path.suffix in CLOUD_SUFFIXES and path.is_file())
+            clouds = tuple(path for path in paths if path.suffix.lower() in CLOUD_SUFFIXES and path.is_file())
             return CvatTask(folder, clouds, labels, parse) if clouds else None
     return None
 
@@ -82,6 +84,10 @@ class Cvat(Dataset):
 
     Args:
         root: A task, or a folder of tasks.
+        bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
+        intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is none.
@@ -89,7 +95,14 @@ class Cvat(Dataset):
 
     name = "cvat"
 
-    def __init__(self, root: Path | str) -> None:
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        bin_columns: int | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
+    ) -> None:
         self.root = Path(root)
         self.tasks = tasks(self.root)
         if not self.tasks:
@@ -98,6 +111,12 @@ class Cvat(Dataset):
         self.frames = [(task, index) for task in self.tasks for index in range(len(task.clouds))]
         self.sequences = tuple(task.folder.resolve().name for task, _ in self.frames)
         self.frame_ids = tuple(task.clouds[index].stem for task, index in self.frames)
+        self.reading = CloudReading(
+            [task.clouds[index] for task, index in self.frames],
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+        )
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -121,7 +140,7 @@ class Cvat(Dataset):
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
-            clouds=Lazy({"lidar": partial(read_cloud, task.clouds[cloud_index])}),
+            clouds=Lazy({"lidar": self.reading.loader(task.clouds[cloud_index])}),
             sensors={"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))},
             load_annotation=partial(_annotation, task, cloud_index) if self.has_annotation(index) else None,
             metadata={"files": [str(path) for path in self.files(index)]},

@@ -14,6 +14,7 @@ from farfield.datasets.frame_maps import described, make
 from farfield.datasets.recipes import maps_of_options, plain
 from farfield.datasets.unread import advice_on, unread_files
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.suffixes import pattern_in_any_case
 from farfield.registry import PluginError, Registry
 
 
@@ -88,9 +89,9 @@ def is_argoverse2(root: Path) -> bool:
 
 def is_kradar(root: Path) -> bool:
     """Whether a folder holds K-Radar or a part of it."""
-    from farfield.datasets.kradar.index import find_sequences
+    from farfield.datasets.kradar.index import find_sequences, with_disks
 
-    return bool(find_sequences([root]))
+    return bool(find_sequences(with_disks([root])))
 
 
 def is_astyx(root: Path) -> bool:
@@ -140,7 +141,7 @@ def _parts(root: Path) -> tuple[Path, ...]:
 
 
 def _has(root: Path, pattern: str) -> bool:
-    return next(iter(root.glob(pattern)), None) is not None
+    return next(iter(root.glob(pattern_in_any_case(pattern))), None) is not None
 
 
 CIRRUS = Format(
@@ -335,6 +336,11 @@ def looked_for() -> dict[str, str]:
 
 
 _EVERYWHERE = ("poses", "rotate_deg")  # options of every format
+_CLOUD_FLAGS = {
+    "bin_columns": " (--columns): its files say their columns themselves",
+    "intensity_scale": " (--intensity-scale): its format says the full scale",
+    "point_times": " (--point-times): its format says what its points' times are",
+}
 
 
 def open_dataset(path: Path | str, *, format: str | None = None, **options: Any) -> Dataset:
@@ -420,7 +426,7 @@ def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> se
     offered = [*own, *(name for name in reader.view_options if name not in own), *_EVERYWHERE]
     unknown = [name for name in options if name not in offered]
     if unknown:
-        flag = " (--columns): its files say their columns themselves" if unknown[0] == "bin_columns" else ""
+        flag = _CLOUD_FLAGS.get(unknown[0], "")
         raise ConfigError(
             f"open_dataset: the {format} reader does not know the option {unknown[0]!r}{flag}; it knows "
             f"{', '.join(offered)}"

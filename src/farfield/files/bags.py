@@ -19,6 +19,7 @@ from jaxtyping import Int64
 
 from farfield.errors import FarfieldError, FileFormatError, MissingExtraError
 from farfield.files.stand_ins import check_itself
+from farfield.files.suffixes import any_case
 
 SUFFIXES = (".mcap", ".db3")
 HEADER = "std_msgs/msg/Header"
@@ -44,8 +45,10 @@ class Stamps:
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file of a known suffix, or a folder with a bag's metadata."""
     if path.is_file():
-        return path.suffix in SUFFIXES
-    return (path / "metadata.yaml").is_file() and any(next(path.glob(f"*{suffix}"), None) for suffix in SUFFIXES)
+        return path.suffix.lower() in SUFFIXES
+    return (path / "metadata.yaml").is_file() and any(
+        next(path.glob(f"*{any_case(suffix)}"), None) for suffix in SUFFIXES
+    )
 
 
 class Bag:
@@ -64,11 +67,11 @@ class Bag:
         self._open: Any = None
         self._packed = False
         for part in [self.path] if self.path.is_file() else sorted(self.path.iterdir()):
-            if part.suffix in (*SUFFIXES, ".yaml"):
+            if part.suffix.lower() in (*SUFFIXES, ".yaml"):
                 check_itself(part)
-            if part.suffix == ".db3":
+            if part.suffix.lower() == ".db3":
                 _check_size(part)
-            elif part.suffix == ".mcap":
+            elif part.suffix.lower() == ".mcap":
                 check_records(part)
                 check_kind(part)
             elif part.suffix == ".zstd":

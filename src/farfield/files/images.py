@@ -140,7 +140,7 @@ def write_animation(path: Path, pictures: Sequence[Path], *, rate_hz: float = 10
     images = _images(pictures)
     first = next(images)
     duration_ms = round(1000 / rate_hz)
-    if path.suffix == ".gif":
+    if path.suffix.lower() == ".gif":
         first = first.quantize(128)
         rest = (image.resize(first.size).quantize(128, palette=None) for image in images)
         first.save(path, "GIF", save_all=True, append_images=rest, duration=duration_ms, loop=0, optimize=False)

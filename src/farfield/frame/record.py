@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from farfield.errors import ConfigError, MissingCloudError
-from farfield.frame.annotation import Annotation
+from farfield.frame.annotation import Annotation, ImpossibleBoxError
 from farfield.frame.cloud import Cloud
 from farfield.frame.drive import Key
 from farfield.geometry.arrays import Locked, locked
@@ -241,7 +241,10 @@ class Frame(Locked):
     @cached_property
     def annotation(self) -> Annotation | None:
         """What was annotated, loaded at the first access; None where nothing was: that is not "nothing there"."""
-        return None if self.load_annotation is None else self.load_annotation()
+        try:
+            return None if self.load_annotation is None else self.load_annotation()
+        except ImpossibleBoxError as error:
+            raise ImpossibleBoxError(f"frame {self.key}: {error}") from None
 
     @property
     def boxes(self) -> Boxes | None:

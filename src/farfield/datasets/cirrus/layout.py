@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from farfield.errors import ConfigError, DatasetError, plain
 from farfield.files.atomic import read_bytes
+from farfield.files.suffixes import pattern_in_any_case
 from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 # The mapping file: one key for every fact that the release leaves uncertain.
@@ -253,10 +254,11 @@ def _numbers(folder: Path, layout: FolderLayout) -> list[int]:
 
 
 def _files(folder: Path, pattern: str, number: int) -> tuple[Path, ...]:
-    paths = [path for path in folder.glob(pattern.replace("{n}", str(number))) if not path.name.startswith(".")]
+    glob = pattern_in_any_case(pattern.replace("{n}", str(number)))
+    paths = [path for path in folder.glob(glob) if not path.name.startswith(".")]
     if not paths and pattern.endswith(".json"):  # the authors' text labels stand in for missing JSON
         texts = pattern.replace("json_files", "txt_files").removesuffix(".json") + ".txt"
-        paths = list(folder.glob(texts.replace("{n}", str(number))))
+        paths = list(folder.glob(pattern_in_any_case(texts.replace("{n}", str(number)))))
     timed = all(time_of(path) is not None for path in paths)
     return tuple(sorted(paths, key=lambda path: (time_of(path) or 0) if timed else _natural(path)))
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.datasets.base import Dataset, Indices
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.kitti.boxes import (
     annotation_of,
     boxes_from_objects,
@@ -26,13 +27,16 @@ from farfield.files.atomic import write_text
 from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
+from farfield.files.point_times import PointTimes
 from farfield.files.stand_ins import check_itself
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import columns_shown, read_cloud
+from farfield.frame.cloud import read_radar_rows
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
 _IMAGE_SUFFIXES = (".png", ".jpg")
-_COLUMNS, _LOOKED_AT = 4, 8
+_CLOUDS = f"velodyne/*{any_case('.bin')}"
+_COLUMNS = 4
 
 
 class Kitti(Dataset):
@@ -47,6 +51,10 @@ class Kitti(Dataset):
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
         bin_columns: Columns of the clouds; None takes what the largest of the first clouds shows, and KITTI's
             four where it does not show it.
+        intensity_scale: Value that stands for full reflectance in all clouds; None is KITTI's 1 for four
+            columns, else decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is no cloud.
@@ -61,18 +69,28 @@ class Kitti(Dataset):
         part: Literal["training", "testing"] = "training",
         classes: Literal["cirrus", "kitti"] = "cirrus",
         bin_columns: int | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
     ) -> None:
         if classes not in ("cirrus", "kitti"):
             raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
         self.root, self.classes = Path(root), classes
         folders = [self.root / part, self.root]
-        self.folder = next((folder for folder in folders if any(folder.glob("velodyne/*.bin"))), folders[0])
-        self.clouds = sorted(self.folder.glob("velodyne/*.bin"))
+        self.folder = next((folder for folder in folders if any(folder.glob(_CLOUDS))), folders[0])
+        self.clouds = sorted(self.folder.glob(_CLOUDS))
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected KITTI clouds in {part}/velodyne/*.bin, found none")
         self.frame_ids = tuple(path.stem for path in self.clouds)
         self.sequences = (part,) * len(self.clouds)
-        self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
+        self.reading = CloudReading(
+            self.clouds,
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+            usual_columns=_COLUMNS,
+            usual_scale=1.0,  # KITTI's reflectance reaches 1
+        )
+        self.bin_columns = self.reading.bin_columns or _COLUMNS
         if self.name == Kitti.name and self.bin_columns > _COLUMNS:
             self._refuse_radar()
 
@@ -100,8 +118,7 @@ class Kitti(Dataset):
         return parts or super().split_parts()
 
     def _file(self, index: int, kind: str, suffix: str) -> Path | None:
-        path = self.folder / kind / f"{self.frame_ids[index]}{suffix}"
-        return path if path.is_file() else None
+        return existing(self.folder / kind / f"{self.frame_ids[index]}{suffix}")
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -122,8 +139,7 @@ class Kitti(Dataset):
         calib = None if calib_path is None else read_calib(calib_path)
         if labels is not None and calib is None:
             raise DatasetError(f"{labels}: expected calib/{labels.name} beside it: boxes stand in the camera's frame")
-        scale = 1.0 if self.bin_columns == _COLUMNS else None  # KITTI's reflectance reaches 1; others are not known
-        load = partial(read_cloud, self.clouds[index], bin_columns=self.bin_columns, intensity_scale=scale)
+        load = self.reading.loader(self.clouds[index])
         annotation, cameras = None, {} if calib is None else {"camera": sized_camera(calib, image)}
         if labels is not None and calib is not None:
             region = CameraField(camera=cameras["camera"], name="the left colour camera")
@@ -166,7 +182,7 @@ _RANGE = COLUMNS.index("range_m")
 def is_tj4dradset(root: Path) -> bool:
     """Whether a folder in KITTI's layout holds points of eight numbers whose fifth is their range."""
     for base in (root / "training", root / "testing", root):
-        first = next(iter(sorted(base.glob("velodyne/*.bin"))[:1]), None)
+        first = next(iter(sorted(base.glob(_CLOUDS))[:1]), None)
         if first is not None:
             try:
                 columns = bin_columns(first)
@@ -201,9 +217,9 @@ def read_radar(path: Path) -> Cloud:
     Raises:
         FileFormatError: If the file is damaged.
     """
-    rows = read_bin(path, columns=len(COLUMNS))
+    rows, missing = read_radar_rows(path, len(COLUMNS))
     extra = {name: np.ascontiguousarray(rows[:, number]) for number, name in enumerate(COLUMNS) if number > 2}
-    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]})
+    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]}, missing)
 
 
 # Writing KITTI's layout.
