@@ -115,7 +115,8 @@ def _check_archive(path: Path, file: BinaryIO) -> None:
 
 
 STEPS = "training.steps"
-"""The one setting of an experiment in which a run that goes on may differ."""
+_FREE = (STEPS, "training.accelerator")
+"""Settings of an experiment in which a run that goes on may differ."""
 
 
 @dataclass(frozen=True)
@@ -259,7 +260,7 @@ def resume_optimizer(path: Path, state: Mapping[str, Any], optimizer: torch.opti
 def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, Any], step: int) -> None:
     """Refuse another experiment or other data. More steps than before are the same run, prolonged."""
     before, now = dict(flatten(_current_names(saved.get("experiment")))), dict(flatten(provenance.get("experiment")))
-    names = [name for name in {**before, **now} if before.get(name) != now.get(name) and name != STEPS]
+    names = [name for name in {**before, **now} if before.get(name) != now.get(name) and name not in _FREE]
     # Earlier versions said of any data that they were simulated, if the experiment had a way to; fingerprints count
     names = [name for name in names if ".simulate" not in name or now.get(name) is not None]
     if names:
