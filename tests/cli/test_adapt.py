@@ -59,7 +59,7 @@ def stop(taken: list[dict[str, Any]], detector: str, data: Any, **given: Any) ->
 
 
 def opened(path: Path, **_: Any) -> Any:
-    return SimpleNamespace(root=Path(path))
+    return SimpleNamespace(root=Path(path), unwrapped=SimpleNamespace(notes=()))
 
 
 def test_its_examples_are_what_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
