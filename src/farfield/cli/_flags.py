@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from farfield.cli._output import bar
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FarfieldError
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -30,12 +30,15 @@ class ReadingFlags:
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         columns: Columns of .bin files; what the numbers themselves show unless given.
+        tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
+            beside the file, the writer's marks and the points in the boxes unless given.
     """
 
     mapping: Path | None = None
     labels: str | None = None
     roots: tuple[Path, ...] = ()
     columns: int | None = None
+    tracklets: Literal["kitti", "cvat", "datumaro"] | None = None
 
     @property
     def options(self) -> dict[str, Any]:
@@ -45,15 +48,31 @@ class ReadingFlags:
             "labels": self.labels,
             "roots": self.roots,
             "bin_columns": self.columns,
+            "tracklets": self.tracklets,
         }
         return {name: value for name, value in options.items() if value}
 
     def open(self, path: Path, **options: Any) -> "Dataset":
-        """Open a data set; further options are those of :func:`farfield.open_dataset`, left out where empty."""
+        """Open a data set and say what its reader assumed.
+
+        Args:
+            path: Its folder.
+            **options: Those of :func:`farfield.open_dataset`, left out where empty.
+        """
         from farfield.datasets import open_dataset
 
         further = {name: value for name, value in options.items() if value}
-        return open_dataset(path, **self.options, **further)
+        data = open_dataset(path, **self.options, **further)
+        for sentence in _assumptions(data):
+            print(f"note: {sentence}", file=sys.stderr)
+        return data
+
+
+def _assumptions(data: "Dataset") -> tuple[str, ...]:
+    try:
+        return data.unwrapped.assumptions
+    except FarfieldError:  # a damaged file: what reads it names it
+        return ()
 
 
 @dataclass(frozen=True, kw_only=True)

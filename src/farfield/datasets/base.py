@@ -127,6 +127,11 @@ class Dataset(ABC):
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` is read from."""
 
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What a reader took for granted or decided from the data: a sentence each, with the flag that overrules it."""
+        return ()
+
     def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index``, without its clouds; None where nothing was."""
         return self.frame(index).annotation

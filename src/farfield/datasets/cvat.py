@@ -3,7 +3,8 @@
 A root is one task or holds tasks::
 
     annotations/*.json, point_clouds/**/*.pcd                  Datumaro
-    tracklet_labels.xml, velodyne_points/data/*.pcd or *.bin   KITTI raw, as its authors publish drives, too
+    tracklet_labels.xml, velodyne_points/data/*.pcd or *.bin   KITTI raw, as its authors publish drives, too;
+                                                               frame_list.txt beside it names each number's sweep
     ann/<cloud file>.json, pointcloud/*.pcd                    Supervisely
 """
 
@@ -17,6 +18,12 @@ import numpy as np
 from farfield.datasets.base import Dataset
 from farfield.datasets.labels.json_labels import DatumaroLabels, SuperviselyLabels, annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
+from farfield.datasets.labels.tracklet_reading import (
+    FRAME_LIST,
+    TrackletReading,
+    checked_convention,
+    read_tracklets,
+)
 from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
@@ -82,15 +89,19 @@ class Cvat(Dataset):
 
     Args:
         root: A task, or a folder of tasks.
+        tracklets: What the numbers of ``tracklet_labels.xml`` stand for: ``"kitti"``, ``"cvat"`` or ``"datumaro"``;
+            None decides by the list beside it, the writer's marks, and the points in the boxes.
 
     Raises:
         DatasetError: If there is none.
+        ConfigError: If there is no such convention.
     """
 
     name = "cvat"
 
-    def __init__(self, root: Path | str) -> None:
-        self.root = Path(root)
+    def __init__(self, root: Path | str, *, tracklets: str | None = None) -> None:
+        self.root, self.tracklets = Path(root), tracklets
+        checked_convention(tracklets)
         self.tasks = tasks(self.root)
         if not self.tasks:
             looked = f"annotations/*.json with point_clouds, {_TRACKLETS} with {_KITTI_CLOUDS}, ann with pointcloud"
@@ -103,7 +114,8 @@ class Cvat(Dataset):
         """List the files of frame ``index``."""
         task, cloud_index = self.frames[index]
         label = task.label_file(cloud_index)
-        return [task.clouds[cloud_index], *([] if label is None else [label])]
+        beside = [] if label is None else [label, label.with_name(FRAME_LIST)]
+        return [task.clouds[cloud_index], *(path for path in beside if path.is_file())]
 
     def has_annotation(self, index: int) -> bool:
         """Whether there is a label file for frame ``index``; a frame that it does not mention has no objects."""
@@ -113,7 +125,13 @@ class Cvat(Dataset):
     def annotation(self, index: int) -> Annotation | None:
         """The boxes of frame ``index``."""
         task, cloud_index = self.frames[index]
-        return _annotation(task, cloud_index) if self.has_annotation(index) else None
+        return _annotation(task, cloud_index, self.tracklets) if self.has_annotation(index) else None
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What the numbers of each task's tracklets stand for, and by what that was decided."""
+        readings = [tracklets_of(task, self.tracklets) for task in self.tasks if task.parse is parse_tracklets]
+        return tuple(reading.sentence for reading in readings if not reading.published)
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
@@ -123,7 +141,9 @@ class Cvat(Dataset):
             frame_id=self.frame_ids[index],
             clouds=Lazy({"lidar": partial(read_cloud, task.clouds[cloud_index])}),
             sensors={"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))},
-            load_annotation=partial(_annotation, task, cloud_index) if self.has_annotation(index) else None,
+            load_annotation=partial(_annotation, task, cloud_index, self.tracklets)
+            if self.has_annotation(index)
+            else None,
             metadata={"files": [str(path) for path in self.files(index)]},
         )
 
@@ -134,8 +154,12 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
     Datumaro's of one task or of tasks in the root, Supervisely's, or KITTI's tracklets; None where they are mixed.
     """
     if all(task.parse is parse_tracklets for task in data.tasks):
-        frames = zip(data.keys, data.frames, strict=True)
-        return TrackletLabels({key: (task.labels[0], int(task.frame_names(index)[1])) for key, (task, index) in frames})
+        readings = {task.folder: tracklets_of(task, data.tracklets) for task in data.tasks}
+        places = {
+            key: (task.labels[0], readings[task.folder].numbers[task.clouds[index].stem])
+            for key, (task, index) in zip(data.keys, data.frames, strict=True)
+        }
+        return TrackletLabels(places, {task.labels[0]: readings[task.folder].convention for task in data.tasks})
     if all(task.parse is parse_supervisely for task in data.tasks):
         entries = zip(data.keys, data.frames, strict=True)
         return SuperviselyLabels({key: _ann(task, index) for key, (task, index) in entries})
@@ -151,7 +175,14 @@ def _ann(task: CvatTask, index: int) -> Path:
     return task.label_file(index) or task.folder / "ann" / f"{task.clouds[index].name}.json"
 
 
-def _annotation(task: CvatTask, index: int) -> Annotation:
+def tracklets_of(task: CvatTask, convention: str | None) -> TrackletReading:
+    """The tracklets of a task; arguments and errors are those of :func:`read_tracklets`."""
+    return read_tracklets(task.labels[0], task.clouds, convention=convention)
+
+
+def _annotation(task: CvatTask, index: int, convention: str | None) -> Annotation:
+    if task.parse is parse_tracklets:
+        return annotation_of(tracklets_of(task, convention).boxes(task.clouds[index].stem))
     path = task.label_file(index)
     assert path is not None
     status = path.stat()

@@ -10,6 +10,7 @@ from jaxtyping import Int64
 
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.folder import Folder
+from farfield.errors import FarfieldError
 from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.survey import Finding, Survey, counted
 from farfield.sync.stamps import StreamStats, health
@@ -35,6 +36,7 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         )
     yield _labels(survey)
     yield from _stray_labels(survey)
+    yield from _assumptions(survey)
     images = ", ".join(f"{number} of {name}" for name, number in survey.images.items())
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
     yield _calibration(survey)
@@ -110,6 +112,16 @@ def _stray_labels(survey: Survey) -> Iterator[Finding]:
             where=strays[0],
             fix=f"Name them like the clouds, such as {reader.frame_ids[0]}.",
         )
+
+
+def _assumptions(survey: Survey) -> Iterator[Finding]:
+    """What the reader decided from the data."""
+    try:
+        sentences = survey.dataset.unwrapped.assumptions
+    except FarfieldError:
+        return  # the survey has reported it
+    for sentence in sentences:
+        yield Finding(severity="warn", topic="reading", what=sentence)
 
 
 def check_timing(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
