@@ -53,10 +53,12 @@ class CvatTask:
         name = self.clouds[index].name
         return next((path for path in self.labels if path.name == f"{name}.json"), None)
 
-    def frame_names(self, index: int) -> tuple[str, ...]:
-        """How label files may call a cloud: its stem, or its number."""
-        stem = self.clouds[index].stem
-        return (stem, str(int(stem)) if stem.isascii() and stem.isdigit() else str(index), "")
+    def stray_labels(self) -> list[str]:
+        """Label files of single clouds that belong to none."""
+        if self.parse is not parse_supervisely:
+            return []
+        names = {f"{cloud.name}.json" for cloud in self.clouds}
+        return [path.name for path in self.labels if path.name not in names]
 
 
 def tasks(root: Path) -> list[CvatTask]:
@@ -107,6 +109,8 @@ class Cvat(Dataset):
             looked = f"annotations/*.json with point_clouds, {_TRACKLETS} with {_KITTI_CLOUDS}, ann with pointcloud"
             raise DatasetError(f"{self.root}: expected a task of CVAT, found none. Looked for {looked}")
         self.frames = [(task, index) for task in self.tasks for index in range(len(task.clouds))]
+        for task in self.tasks:
+            _check_names(task)
         self.sequences = tuple(task.folder.resolve().name for task, _ in self.frames)
         self.frame_ids = tuple(task.clouds[index].stem for task, index in self.frames)
 
@@ -175,6 +179,21 @@ def _ann(task: CvatTask, index: int) -> Path:
     return task.label_file(index) or task.folder / "ann" / f"{task.clouds[index].name}.json"
 
 
+def _check_names(task: CvatTask) -> None:
+    """Each cloud has a name of its own, and label files of single clouds are called like them."""
+    stems: dict[str, Path] = {}
+    for cloud in task.clouds:
+        twin = stems.setdefault(cloud.stem, cloud)
+        if twin is not cloud:
+            raise DatasetError(f"{cloud}: expected clouds of different names in a task, {twin} is called so too")
+    strays = task.stray_labels()
+    if strays and len(strays) == len(task.labels):
+        raise DatasetError(
+            f"{task.folder / 'ann'}: expected files called like the clouds, such as {task.clouds[0].name}.json, found "
+            f"{strays[0]}. Name them so."
+        )
+
+
 def tracklets_of(task: CvatTask, convention: str | None) -> TrackletReading:
     """The tracklets of a task; arguments and errors are those of :func:`read_tracklets`."""
     return read_tracklets(task.labels[0], task.clouds, convention=convention)
@@ -187,8 +206,34 @@ def _annotation(task: CvatTask, index: int, convention: str | None) -> Annotatio
     assert path is not None
     status = path.stat()
     by_frame = _parsed(path, task.parse, status.st_mtime_ns, status.st_size)
-    cuboids = next((by_frame[name] for name in task.frame_names(index) if name in by_frame), ())
-    return annotation_of(cuboids)
+    if task.parse is parse_supervisely:
+        return annotation_of(by_frame.get("", ()))
+    name = _frame_of_stem(path, tuple(cloud.stem for cloud in task.clouds), tuple(by_frame)).get(
+        task.clouds[index].stem
+    )
+    return annotation_of(() if name is None else by_frame[name])
+
+
+@lru_cache(maxsize=4)
+def _frame_of_stem(path: Path, stems: tuple[str, ...], frames: tuple[str, ...]) -> Mapping[str, str]:
+    """The frame of a file that each cloud is: that of its name, or of its number where names are numbers.
+
+    Raises:
+        DatasetError: If a frame with boxes is none of the clouds, or two are one.
+    """
+    number_of = {int(stem): stem for stem in stems if stem.isascii() and stem.isdigit()}
+    frame_of: dict[str, str] = {}
+    for frame in frames:
+        number = int(frame) if frame.isascii() and frame.isdigit() else -1
+        stem = frame if frame in stems else number_of.get(number, "")
+        if not stem or stem in frame_of:
+            problem = "no cloud of that name" if not stem else f"{stem} for {frame_of[stem]!r} too"
+            raise DatasetError(
+                f"{path}: expected boxes of the clouds {stems[0]} ... {stems[-1]}, each once, found {frame!r} and "
+                f"{problem}. Name items as the clouds' files (id, or point_cloud: path), or put the clouds there."
+            )
+        frame_of[stem] = frame
+    return frame_of
 
 
 @lru_cache(maxsize=4)

@@ -65,8 +65,12 @@ def class_names(content: Mapping[str, Any], path: Path | str) -> list[str]:
 
 
 def frame_name(item: Mapping[str, Any], path: Path | str, where: str) -> str:
-    """An item's id without folders and suffix."""
-    return PurePosixPath(word(item.get("id"), path, where, "id")).name.removesuffix(".pcd") or "."
+    """The name of an item's cloud without folders and suffix; of one that names no cloud its id's."""
+    name = word(item.get("id"), path, where, "id")
+    cloud = item.get("point_cloud")
+    file = cloud.get("path") if isinstance(cloud, Mapping) else None
+    last = PurePosixPath((file if isinstance(file, str) and file.strip() else name).replace("\\", "/")).name
+    return last[:-4] if last.lower().endswith((".pcd", ".bin")) and len(last) > 4 else last or "."
 
 
 def _cuboid(entry: Mapping[str, Any], frame: str, names: Sequence[str], path: Path | str, where: str) -> Cuboid:
