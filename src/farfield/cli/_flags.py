@@ -26,7 +26,8 @@ class ReadingFlags:
     """How a data set's files are read.
 
     Args:
-        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
+        mapping: Mapping YAML of the classes of data in any format, classes: {Auto: vehicle}; or of a Cirrus copy that
+            deviates from the documented layout.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         columns: Columns of .bin files; what the numbers themselves show unless given.

@@ -418,11 +418,15 @@ class Mapped(Subset):
         """What was annotated in frame ``index``, seen through the map."""
         if getattr(self.function, "keeps_annotation", False):
             return self.parent.annotation(index)
+        annotated = getattr(self.function, "annotated", None)
+        if annotated is not None:
+            annotation = self.parent.annotation(index)
+            return None if annotation is None else annotated(annotation)
         return self.frame(index).annotation
 
     def has_annotation(self, index: int) -> bool:
         """Whether frame ``index``, seen through the map, was annotated."""
-        if getattr(self.function, "keeps_annotation", False):
+        if getattr(self.function, "keeps_annotation", False) or hasattr(self.function, "annotated"):
             return self.parent.has_annotation(index)
         return self.frame(index).has_annotation
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.class_mapping import MAPPING_NAME, maps_classes, read_class_mapping
 from farfield.datasets.frame_maps import described, make
 from farfield.datasets.recipes import maps_of_options, plain
 from farfield.errors import ConfigError, DatasetError
@@ -348,7 +349,8 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
         format: One of :data:`DATASETS`; None recognises it.
         **options: ``poses``, a file or folder of poses as ``farfield odometry`` writes them; ``rotate_deg``, which
             turns every frame counter-clockwise about z (180 looks backwards); and those of the format's reader, such as
-            ``mapping=`` for Cirrus and own folders.
+            ``columns``. ``mapping`` renames the classes of every format (``classes: {Auto: vehicle}``; without it
+            ``mapping.yaml`` in the root, where it is such a file), or describes a Cirrus layout.
 
     Raises:
         DatasetError: If the folder does not exist or nothing in it is recognised; the message lists what was looked
@@ -362,8 +364,10 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     if not root.is_dir():
         kind = "a file" if root.exists() else "nothing"
         raise DatasetError(f"{path}: expected a data set's folder, found {kind}.")
+    recognised = format or recognise(root)
+    classes, options = _class_mapping(root, recognised, options)
     if format is None:
-        format = recognise(root)
+        format = recognised
         if options.get("mapping") is not None and format != "folder":  # another layout: what it is like stands there
             format = "cirrus"
     if format is None:
@@ -375,7 +379,25 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     own = _checked_options(format, reader, options)
     opened = reader(root, **{name: value for name, value in options.items() if name in own})
     opened.options = {name: plain(value) for name, value in options.items() if name in own}
+    opened = opened if not classes else opened.mapped(make("classes", {"classes": classes}))
     return _viewed(opened, {name: value for name, value in options.items() if name not in own})
+
+
+def _class_mapping(
+    root: Path, format: str | None, options: Mapping[str, Any]
+) -> tuple[Mapping[str, str], Mapping[str, Any]]:
+    """The classes of a mapping for any format, given or beside the data, and the options less that mapping.
+
+    Own folders read it themselves; a mapping of a Cirrus layout stays an option.
+    """
+    mapping = options.get("mapping")
+    if format in (None, "folder") or not (mapping is None or isinstance(mapping, str | Path)):
+        return {}, options
+    beside = root / MAPPING_NAME
+    path = Path(mapping) if mapping is not None else beside if beside.is_file() else None
+    if path is None or not maps_classes(path):
+        return {}, options
+    return read_class_mapping(path), {name: value for name, value in options.items() if name != "mapping"}
 
 
 def _inside(root: Path) -> str:

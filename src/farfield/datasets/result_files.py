@@ -109,8 +109,7 @@ class ResultWriter:
             if folder not in named:
                 named.add(folder)
                 write_coordinates(folder, camera_words(called, frame.reference))
-            classes = _named(boxes, KITTI_FROM_CIRRUS)
-            objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=classes)
+            objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=KITTI_FROM_CIRRUS)
             write_labels(folder / f"{frame_id}.txt", objects)
         if virtual:
             self.notes.append(

@@ -4,8 +4,11 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from farfield.datasets import open_dataset, recognise
 from farfield.datasets.base import Dataset
+from farfield.datasets.class_mapping import class_mapping_of
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.memory import in_memory
 from farfield.errors import ConfigError
@@ -15,6 +18,7 @@ from farfield.metrics.box_files import read, read_predictions
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.kradar.conditions import read_conditions
 from farfield.metrics.sanity import sanity_warnings
+from farfield.vocabulary.classes import normalised_class
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -129,8 +133,23 @@ def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
         notes.append(f"predictions name no sequence: their frames are taken for those of {name!r}, the data's only one")
         boxes = {(name, frame_id): predicted for (_, frame_id), predicted in boxes.items()}
     detections = detections_from_boxes(boxes, in_coordinates(data, reference))
+    names = _meant(detections, data)
+    if names:
+        renamed = {key: predicted.relabel(names) for key, predicted in detections.boxes.items()}
+        detections = replace(detections, boxes=renamed)
+        pairs = ", ".join(f"{name} is {ours}" for name, ours in names.items())
+        notes.append(f"classes of the predictions are called as the data's: {pairs}")
     warnings = sanity_warnings(detections.boxes, detections.annotated)
     return replace(detections, notes=(*notes, *detections.notes, *warnings))
+
+
+def _meant(detections: Detections, data: Dataset) -> dict[str, str]:
+    """The data's class of each name in the predictions that the annotation lacks: by their mapping, or usual names."""
+    annotated = {str(name) for boxes in detections.annotated.values() for name in np.unique(boxes.label)}
+    predicted = {str(name) for boxes in detections.boxes.values() for name in np.unique(boxes.label)}
+    classes = class_mapping_of(data)
+    meant = {name: classes.get(name, normalised_class(name, {})) for name in sorted(predicted - annotated)}
+    return {name: ours for name, ours in meant.items() if ours in annotated}
 
 
 def in_coordinates(data: Dataset, reference: str) -> Dataset:

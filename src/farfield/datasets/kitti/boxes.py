@@ -1,6 +1,6 @@
 """KITTI's calibration and label files as cameras, poses, boxes and annotations (Geiger et al., CVPR 2012)."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -131,13 +131,17 @@ def objects_from_boxes(boxes: Boxes, camera: Camera, *, classes: Mapping[str, st
     Args:
         boxes: Boxes in lidar coordinates.
         camera: The left colour camera (its pose is taken as that of the rectified frame).
-        classes: Class names by ours; others become ``Misc``.
+        classes: Class names by ours; others stay, their blanks as underscores.
+
+    Raises:
+        DatasetError: If two classes would have one name.
     """
+    names = kitti_names(boxes.label.tolist(), classes)
     bottom, size, rotation_y = camera_from_lidar(boxes.centre_m, boxes.size_m, boxes.yaw_rad, camera.camera_T_lidar)
     box_px, truncation = image_boxes(boxes, camera)
     alpha = rotation_y - np.arctan2(bottom[:, 0], bottom[:, 2])
     return KittiObjects(
-        type=np.array([classes.get(str(name), "Misc") for name in boxes.label], dtype=np.str_),
+        type=np.array([names[str(name)] for name in boxes.label], dtype=np.str_),
         truncation=truncation,
         occlusion=np.full(len(boxes), 3, dtype=np.int64),
         alpha_rad=np.mod(alpha + np.pi, 2 * np.pi) - np.pi,
@@ -148,6 +152,30 @@ def objects_from_boxes(boxes: Boxes, camera: Camera, *, classes: Mapping[str, st
         score=boxes.score,
         line=np.arange(1, len(boxes) + 1, dtype=np.int64),
     )
+
+
+def kitti_names(labels: Iterable[str], classes: Mapping[str, str]) -> dict[str, str]:
+    """KITTI's name of each class, one word of its columns; of ours that it has not, the class's own.
+
+    Raises:
+        DatasetError: If a class of one's own would have the name of another, or cannot be written in ASCII.
+
+    >>> kitti_names(["vehicle", "traffic cone"], {"vehicle": "Car"})
+    {'vehicle': 'Car', 'traffic cone': 'traffic_cone'}
+    """
+    names: dict[str, str] = {}
+    for label in dict.fromkeys(map(str, labels)):
+        name = classes.get(label) or "_".join(label.split())
+        same = [other for other, own in names.items() if own == name and name not in CIRRUS_FROM_KITTI]
+        twin = next(iter(same), None)
+        if not name.isascii() or not name or name == "DontCare" or twin is not None:
+            problem = f"{twin!r} is called so too" if twin is not None else "it is no word of KITTI's text"
+            raise DatasetError(
+                f"class {label!r}: expected a name of its own in KITTI's text, got {name!r}: {problem}. Rename it by a "
+                "mapping: classes: {OLD: NEW}"
+            )
+        names[label] = name
+    return names
 
 
 def annotation_of(objects: KittiObjects, boxes: Boxes, region: CameraField | None) -> Annotation:

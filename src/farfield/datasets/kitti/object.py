@@ -222,7 +222,7 @@ class KittiWriter:
 
     Args:
         root: Folder in which ``training`` is made.
-        classes: KITTI's names by ours; others become ``Misc``.
+        classes: KITTI's names by ours; others stay.
     """
 
     def __init__(self, root: Path | str, *, classes: Mapping[str, str] = KITTI_FROM_CIRRUS) -> None:

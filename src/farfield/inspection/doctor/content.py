@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.cirrus import Cirrus
-from farfield.datasets.folder import MAPPING_NAME, Folder
+from farfield.datasets.class_mapping import MAPPING_NAME
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud
 from farfield.inspection.doctor.conventions import count_points, ground_height_m
@@ -132,13 +132,13 @@ def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic=f"class {label}", what=f"{counted(sum(row.values()), 'box')}: {shown}")
     reader = survey.dataset.unwrapped
     if not isinstance(reader, Cirrus):
-        yield from _own_names(table, in_folder=isinstance(reader, Folder))
+        yield from _own_names(table)
         return
     aliases = reader.mapping.labels.aliases
     strange = {
         name: count
         for name, count in survey.raw_labels.items()
-        if normalised_class(name, aliases) == "unknown" and name.strip().lower() != "unknown"
+        if normalised_class(name, aliases) not in CIRRUS_CLASSES
     }
     if strange:
         most = sum(strange.values()) > 0.5 * max(len(boxes), 1)
@@ -146,12 +146,13 @@ def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(
             severity="fail" if most else "warn",
             topic="class names",
-            what=f"not in the vocabulary, read as unknown: {shown}",
-            fix="Give aliases in the mapping, such as labels: {aliases: {car: vehicle}}.",
+            what=f"not in the vocabulary: {shown}",
+            fix="Give aliases in the mapping, such as labels: {aliases: {car: vehicle}}, or classes: {Auto: vehicle} "
+            f"in {MAPPING_NAME}.",
         )
 
 
-def _own_names(table: Mapping[str, Mapping[str, int]], *, in_folder: bool) -> Iterator[Finding]:
+def _own_names(table: Mapping[str, Mapping[str, int]]) -> Iterator[Finding]:
     """Names that neither the detectors nor the experiments know, with what they may mean."""
     counts = {label: sum(row.values()) for label, row in table.items()}
     strange = {label: count for label, count in counts.items() if label not in CIRRUS_CLASSES}
@@ -167,19 +168,11 @@ def _own_names(table: Mapping[str, Mapping[str, int]], *, in_folder: bool) -> It
         topic="class names",
         what=f"not in the vocabulary ({', '.join(vocabulary)}): {shown}"
         + (f"; did you mean {pairs}?" if meant else ""),
-        fix=_rename(pairs, in_folder=in_folder),
+        fix=f"Rename them, or write {{classes: {{{pairs}}}}} into {MAPPING_NAME} beside the data, or into a file for "
+        f"--mapping; or -o 'data.aliases={{{pairs}}}' in train, "
+        f"--options relabel={pairs.replace(': ', ':').replace(', ', ',')} in score and evaluate; or train your own: "
+        "detector.class_names.",
     )
-
-
-def _rename(pairs: str, *, in_folder: bool) -> str:
-    """How to map classes; own folders have a file for that."""
-    shared = (
-        f"-o 'data.aliases={{{pairs}}}' in train, --options relabel={pairs.replace(': ', ':').replace(', ', ',')} in "
-        "score and evaluate; or train your own: detector.class_names."
-    )
-    if in_folder:
-        return f"Rename them, or write {{classes: {{{pairs}}}}} into {MAPPING_NAME} beside the clouds; or {shared}"
-    return f"Rename them, or map them where they are used: {shared}"
 
 
 def _bins() -> list[tuple[float, float]]:
