@@ -66,7 +66,6 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         notes.append("the labels have scores and the predictions have none: are the two files exchanged?")
     for word, side in (("predicted", predicted), ("annotated", annotated)):
         notes += wild_headings(word, *side.headings)
-    notes += _without_image_boxes(predicted) if format == "kitti" else []
     notes += sanity_warnings(predicted.boxes, annotated.boxes)
     _name_coordinates(predicted, Path(predictions), reference)
     _name_coordinates(annotated, Path(labels), reference)
@@ -213,23 +212,6 @@ def _share_sequence(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[st
         notes.append(
             f"{side_name} name no sequence: their frames are taken for those of {name!r}, the {other_word}' only one"
         )
-
-
-def _without_image_boxes(predicted: _SideBoxes) -> list[str]:
-    """A note on KITTI's predictions that have no place in the image."""
-    heights = [
-        columns["box_px"][:, 3] - columns["box_px"][:, 1]
-        for columns in predicted.details.values()
-        if "box_px" in columns
-    ]
-    height_px = np.concatenate(heights) if heights else np.zeros(0)
-    lacking = int((height_px <= 0).sum())
-    if lacking <= 0.5 * len(height_px) or not len(height_px):
-        return []
-    return [
-        f"{lacking} of {len(height_px)} predictions have no 2D box in the image: KITTI's rules leave out predictions "
-        "lower than 25 or 40 pixels, so protocol kitti does not count them; dds and nuscenes do"
-    ]
 
 
 def _name_coordinates(side: _SideBoxes, path: Path, reference: str) -> None:

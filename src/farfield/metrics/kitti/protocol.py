@@ -4,9 +4,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from farfield.errors import ConfigError
 from farfield.frame.annotation import Annotation
 from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.detections import Detections, Protocol
+from farfield.metrics.frames import has_label
 from farfield.metrics.kitti.evaluation import KittiResult, KittiSettings, evaluate_kitti, weighted_kitti
 from farfield.metrics.presenting import CurveLine, CurvePanel, HitRule, Presentation, Presenter, panels
 from farfield.metrics.result import figure_names, value_at
@@ -60,7 +64,12 @@ class KittiProtocol(Protocol):
     uses = frozenset({"details"})
 
     def evaluate(self, detections: Detections, settings: KittiSettings) -> KittiResult:
-        """AP by overlap, recall points and difficulty; one difficulty, and a note, where there are no 2D facts."""
+        """AP by overlap, recall points and difficulty; one difficulty, and a note, where there are no 2D facts.
+
+        Raises:
+            ConfigError: If no annotated or no predicted box has the 2D facts of its files, so that none counts.
+        """
+        lacking = _without_facts(detections, settings)
         result = evaluate_kitti(
             detections.boxes,
             detections.annotated,
@@ -71,9 +80,9 @@ class KittiProtocol(Protocol):
         )
         some = [annotation for annotation in detections.annotations.values() if len(annotation)]
         if not some or all(name in annotation.details for annotation in some for name in FACTS):
-            return result
+            return replace(result, notes=(*result.notes, *lacking))
         note = f"boxes are annotated without {', '.join(FACTS)}, so all are of one difficulty, all"
-        return replace(result, notes=(*result.notes, note))
+        return replace(result, notes=(*result.notes, *lacking, note))
 
     def weighted(self, detections: Detections, settings: KittiSettings) -> Weighted:
         """AP of the whole and of each range bin as functions of group weights."""
@@ -92,6 +101,45 @@ class KittiProtocol(Protocol):
         return {name: value_at(result, name) for name in sorted(names, key=_rank)}
 
 
+def _without_facts(detections: Detections, settings: KittiSettings) -> list[str]:
+    """Notes on boxes that KITTI's rules pass over because a 2D fact of theirs is not known.
+
+    Raises:
+        ConfigError: If these are all boxes of a side.
+    """
+    annotated = {key: annotation.details for key, annotation in detections.annotations.items()}
+    sides = (
+        ("annotated", detections.annotated, annotated, "box_px"),
+        ("annotated", detections.annotated, annotated, "occlusion"),
+        ("predicted", detections.boxes, detections.prediction_details, "box_px"),
+    )
+    notes = []
+    for side, boxes_by_frame, details, fact in sides:
+        count = lacking = label_count = label_lacking = 0
+        for key, boxes in boxes_by_frame.items():
+            if key not in annotated or fact not in details.get(key, {}) or not len(boxes):
+                continue
+            values = np.asarray(details[key][fact])
+            unknown = values == _HIDDEN_UNKNOWN if fact == "occlusion" else values[:, 3] == values[:, 1]
+            own = has_label(boxes, settings.label, settings.relabel)
+            count, lacking = count + len(boxes), lacking + int(unknown.sum())
+            label_count, label_lacking = label_count + int(own.sum()), label_lacking + int((unknown & own).sum())
+        what = _FACT_WORDS[fact]
+        if lacking and lacking == count:
+            raise ConfigError(
+                f"protocol kitti: expected {what} of {side} boxes, which its difficulties need, found none in all "
+                f"{count}: no box would count. Score them by --protocol dds or nuscenes, which need no image"
+            )
+        if label_lacking:
+            notes.append(
+                f"{label_lacking} of {label_count} {side} boxes of {settings.label!r} have no {what}: KITTI's rules "
+                "leave them out; dds and nuscenes count them"
+            )
+    return notes
+
+
+_HIDDEN_UNKNOWN = 3
+_FACT_WORDS = {"box_px": "2D box in the image (0 0 0 0 or -1 -1 -1 -1)", "occlusion": "known occlusion (3)"}
 _MEASURES = {"3d": "AP3D", "bev": "APBEV"}
 _ORDER = ("moderate", "easy", "hard", "all")
 _GLOSSARY = (
