@@ -1,5 +1,7 @@
 """Write a data set in another's layout, for an annotation tool, or its ASCII clouds as a binary cache beside them."""
 
+import csv
+import io
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -80,6 +82,8 @@ def convert(
     check_apart(target, dataset)
     if to == "radar-store":
         return convert_to_store(_kradar(dataset), target, store, overwrite=overwrite, bulk=bulk)
+    if to != "boxes-csv" or target.suffix != ".csv":
+        check_file_names(dataset, to)
     if to == "boxes-csv" and target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
         target.parent.mkdir(parents=True, exist_ok=True)
         unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
@@ -146,6 +150,31 @@ def check_apart(target: Path, data: Dataset) -> None:
         raise ConfigError(
             f"{target}: expected another name, got that of data which are read: they would be written over"
         )
+
+
+def check_file_names(dataset: Dataset, to: str) -> None:
+    """Refuse names of sequences or frames that would share a file: a name of a file has no blanks or commas.
+
+    Args:
+        dataset: What is written.
+        to: The layout; KITTI's, Cirrus' and the cache number their files or take the sources' own.
+
+    Raises:
+        DatasetError: If two names would share one.
+    """
+    if to not in ("boxes-csv", *get_args(AnnotationTool)):
+        return
+    names: list[tuple[str, ...]] = [(sequence,) for sequence in dict.fromkeys(dataset.sequences)]
+    names += list(dict.fromkeys(dataset.keys)) if to in ("sustechpoints", "cvat") else []
+    name_of_file: dict[tuple[str, ...], tuple[str, ...]] = {}
+    for name in names:
+        file = tuple(file_name(part).casefold() for part in name)
+        twin = name_of_file.setdefault(file, name)
+        if twin != name:
+            raise DatasetError(
+                f"{dataset.root}: expected names that differ as names of files, got {'/'.join(twin)!r} and "
+                f"{'/'.join(name)!r}, which both become {'/'.join(file)}. Rename one of them."
+            )
 
 
 def _kradar(dataset: Dataset) -> Dataset:
@@ -268,8 +297,10 @@ class _ToKitti(_FrameConversion):
 
 def _finish_kitti(dataset: Dataset, target: Path) -> None:
     """Write what belongs to all frames."""
-    lines = [f"{index:06d},{sequence},{frame}" for index, (sequence, frame) in enumerate(dataset.keys)]
-    write_text(target / "frames.csv", "\n".join(["number,sequence,frame", *lines]) + "\n")
+    table = io.StringIO()
+    rows = ((f"{index:06d}", *key) for index, key in enumerate(dataset.keys))
+    csv.writer(table, lineterminator="\n").writerows([("number", "sequence", "frame"), *rows])
+    write_text(target / "frames.csv", table.getvalue())
     first = dataset[0]
     named = next((name for name in first.cameras if name in first.images), next(iter(first.cameras), ""))
     write_coordinates(target / "training" / "label_2", camera_words(named, first.reference))

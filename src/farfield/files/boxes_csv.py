@@ -95,15 +95,19 @@ def parse_boxes_csv(data: bytes, path: Path | str) -> BoxRows:
     _check_header(path, header)
     numbers = {name: array("d") for name in COLUMNS if name in header and name not in _WORDS}
     texts: dict[str, list[str]] = {name: [] for name in _WORDS if name in header}
+    spellings: dict[tuple[str, str], str] = {}
     interned: dict[str, str] = {}  # one string a name, however many rows bear it
     for line, row in rows:
         if len(row) != len(header):
             raise _wrong(path, line, f"{len(header)} columns as in the header", str(len(row)))
         for name, text in zip(header, row, strict=True):
-            text = text.strip()
+            written, text = text, text.strip()
             if name in texts:
                 if not text:
                     raise _wrong(path, line, f"a {name}", "an empty cell")
+                if name in ("sequence", "frame") and spellings.setdefault((name, text), written) != written:
+                    expected = f"each {name} spelt in one way: blanks about a name are no part of it"
+                    raise _wrong(path, line, expected, f"{written!r} and {spellings[name, text]!r}")
                 texts[name].append(interned.setdefault(text, text))
             else:
                 numbers[name].append(_number(path, line, name, text))
