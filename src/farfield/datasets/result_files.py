@@ -11,11 +11,11 @@ import numpy as np
 from farfield.datasets.base import Dataset
 from farfield.datasets.convert import box_rows
 from farfield.datasets.kitti.boxes import objects_from_boxes
-from farfield.datasets.kitti.object import VIRTUAL_CAMERA
+from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti
 from farfield.errors import ConfigError
 from farfield.files.atomic import open_atomic
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv_parts
-from farfield.files.coordinates import camera_words, write_coordinates
+from farfield.files.coordinates import camera_words, read_coordinates, write_coordinates
 from farfield.files.kitti import write_labels
 from farfield.files.nuscenes import WORLD
 from farfield.frame import Boxes, Frame, Key
@@ -103,12 +103,12 @@ class ResultWriter:
         virtual, named = 0, set[Path]()
         for number, ((sequence, frame_id), boxes) in enumerate(frame_boxes):
             frame = self.frames[number]
-            called, camera = next(iter(frame.cameras.items()), ("", None))
+            camera = next(iter(frame.cameras.values()), None)
             virtual += camera is None
             folder = out / sequence if several else out
             if folder not in named:
                 named.add(folder)
-                write_coordinates(folder, camera_words(called, frame.reference))
+                write_coordinates(folder, self._coordinates(frame))
             objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=KITTI_FROM_CIRRUS)
             write_labels(folder / f"{frame_id}.txt", objects)
         if virtual:
@@ -116,6 +116,12 @@ class ResultWriter:
                 f"{virtual} frames have no camera: their boxes stand in KITTI's axes at the sensor, and 2D boxes are "
                 "those of a virtual camera there"
             )
+
+    def _coordinates(self, frame: Frame) -> str:
+        """What KITTI's boxes of a frame stand in: as the labels of a converted data set name it, else its camera."""
+        reader = self.frames.unwrapped if isinstance(self.frames, Dataset) else None
+        beside = read_coordinates(reader.folder / "label_2") if isinstance(reader, Kitti) else ""
+        return beside or camera_words(next(iter(frame.cameras), ""), frame.reference)
 
     def _nuscenes(self, out: Path, frame_boxes: Found) -> None:
         """One list of boxes a sample, in the world where every frame's pose is known."""

@@ -226,6 +226,12 @@ def _agreed(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> s
     """The coordinates of both sides."""
     predicted_in, annotated_in = predicted.reference, annotated.reference
     if predicted_in and annotated_in and predicted_in != annotated_in:
+        if "camera" in predicted_in or "camera" in annotated_in:
+            raise ConfigError(
+                f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: their "
+                "boxes do not lie in one space. Name the data set that was predicted on in the place of the labels "
+                "(farfield score PREDICTIONS DATASET --format kitti), or predict on the data set of the labels"
+            )
         raise ConfigError(
             f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: their boxes "
             f"do not lie in one space. Write one anew (farfield predict ... --reference {annotated_in}, or farfield "
