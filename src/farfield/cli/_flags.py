@@ -33,6 +33,8 @@ class ReadingFlags:
         columns: Columns of .bin files; what the numbers themselves show unless given.
         tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
             beside the file, the writer's marks and the points in the boxes unless given.
+        label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
+            LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre).
     """
 
     mapping: Path | None = None
@@ -40,6 +42,7 @@ class ReadingFlags:
     roots: tuple[Path, ...] = ()
     columns: int | None = None
     tracklets: Literal["kitti", "cvat", "datumaro"] | None = None
+    label_axes: Literal["camera", "lidar", "lidar-bottom"] | None = None
 
     @property
     def options(self) -> dict[str, Any]:
@@ -50,6 +53,7 @@ class ReadingFlags:
             "roots": self.roots,
             "bin_columns": self.columns,
             "tracklets": self.tracklets,
+            "label_axes": self.label_axes,
         }
         return {name: value for name, value in options.items() if value}
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from farfield.errors import DatasetError, plain
+from farfield.errors import ConfigError, DatasetError, plain
 from farfield.files.kitti import KittiObjects
 from farfield.frame import Annotation, Boxes, Camera, CameraField
 from farfield.geometry.cameras import image_boxes
@@ -43,6 +43,80 @@ def camera_from_calib(calib: Mapping[str, np.ndarray]) -> Float[np.ndarray, "4 4
     if not 0.9 < determinant < 1.1:
         raise DatasetError(f"calibration: expected R0_rect @ Tr_velo_to_cam to rotate (1), got {determinant:.3g}")
     return matrix
+
+
+LABEL_AXES = ("camera", "lidar", "lidar-bottom")
+"""In which axes labels stand: KITTI's camera; or the LiDAR's, x y z the centre, or the bottom's centre, and rotation_y
+the yaw about z, as own labels with a unit calibration have them."""
+_UNIT = 0.1
+
+
+def checked_axes(label_axes: str) -> None:
+    """Refuse axes that there are not.
+
+    Raises:
+        ConfigError: If it is none of :data:`LABEL_AXES`.
+    """
+    if label_axes not in LABEL_AXES:
+        raise ConfigError(f"label_axes: expected one of {', '.join(LABEL_AXES)}, got {label_axes!r}")
+
+
+def boxes_in_axes(
+    objects: KittiObjects,
+    camera_T_lidar: Float[np.ndarray, "4 4"],
+    label_axes: str,
+    path: Path,
+    *,
+    classes: str = "cirrus",
+) -> Boxes:
+    """The boxes of a label file in the axes that it is said to have; the others are those of the two functions below.
+
+    Args:
+        objects: Rows of the file.
+        camera_T_lidar: Lidar to rectified camera coordinates.
+        label_axes: One of :data:`LABEL_AXES`.
+        path: The file, for messages.
+        classes: As of :func:`boxes_from_objects`.
+
+    Raises:
+        DatasetError: If the labels are said to stand in the camera's axes, and the calibration turns nothing: no camera
+            stands so, its axes are the LiDAR's.
+    """
+    if label_axes != "camera":
+        return boxes_in_lidar(objects, bottom=label_axes == "lidar-bottom", classes=classes)
+    if np.abs(camera_T_lidar[:3, :3] - np.eye(3)).max() < _UNIT and objects.has_box.any():
+        raise DatasetError(
+            f"{path}: expected boxes in a camera's axes (x right, y down, z ahead), got a calibration that turns "
+            "nothing (R0_rect and Tr_velo_to_cam are unit matrices): the labels stand in the LiDAR's axes. Say so by "
+            "--label-axes lidar (x y z is the centre of a box, rotation_y its yaw about z) or lidar-bottom (x y z is "
+            "the centre of its bottom), or give the camera's calibration"
+        )
+    return boxes_from_objects(objects, camera_T_lidar, classes=classes)
+
+
+def boxes_in_lidar(objects: KittiObjects, *, bottom: bool, classes: str = "cirrus") -> Boxes:
+    """Boxes of labels that stand in the LiDAR's axes, in KITTI's columns.
+
+    Args:
+        objects: Rows of a label file.
+        bottom: Whether x y z is the centre of the bottom, else of the box.
+        classes: As of :func:`boxes_from_objects`.
+    """
+    boxed = objects[objects.has_box]
+    centre = boxed.bottom_m.copy()
+    centre[:, 2] += boxed.size_m[:, 0] / 2 if bottom else 0.0
+    return Boxes(
+        centre_m=centre,
+        size_m=boxed.size_m[:, ::-1].copy(),
+        yaw_rad=boxed.rotation_y_rad,
+        label=_names(boxed, classes),
+        score=boxed.score,
+    )
+
+
+def _names(objects: KittiObjects, classes: str) -> list[str]:
+    names = objects.type.tolist()
+    return [normalised_class(name, CIRRUS_FROM_KITTI) for name in names] if classes == "cirrus" else names
 
 
 def _shaped(matrix: np.ndarray, shape: tuple[int, int], name: str) -> np.ndarray:
@@ -117,10 +191,7 @@ def boxes_from_objects(
     """
     boxed = objects[objects.has_box]
     centre, size, yaw = lidar_from_camera(boxed.bottom_m, boxed.size_m, boxed.rotation_y_rad, camera_T_lidar)
-    names = boxed.type.tolist()
-    if classes == "cirrus":
-        names = [normalised_class(name, CIRRUS_FROM_KITTI) for name in names]
-    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=names, score=boxed.score)
+    return Boxes(centre_m=centre, size_m=size, yaw_rad=yaw, label=_names(boxed, classes), score=boxed.score)
 
 
 def objects_from_boxes(boxes: Boxes, camera: Camera, *, classes: Mapping[str, str]) -> KittiObjects:
