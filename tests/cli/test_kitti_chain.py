@@ -59,3 +59,28 @@ def test_other_coordinates_are_refused_with_a_cure_that_exists(
     assert "farfield score PREDICTIONS DATASET --format kitti" in capsys.readouterr().err
     assert main(["score", str(predictions), str(own), "--format", "kitti"]) == 1
     assert "camera cam-front" in capsys.readouterr().err
+
+
+def test_a_part_that_the_data_have_not_is_not_written(tmp_path: Path) -> None:
+    assert main(["simulate", "kitti-sim-mini", str(tmp_path / "sim")]) == 0
+    assert main(["convert", str(tmp_path / "sim"), str(tmp_path / "again"), "--to", "kitti"]) == 0
+    sets = sorted(path.name for path in (tmp_path / "again" / "ImageSets").iterdir())
+    assert sets == ["train.txt", "val.txt"]
+    before, after = open_dataset(tmp_path / "sim"), open_dataset(tmp_path / "again")
+    for name in ("train", "val"):
+        assert len(after.split(name)) == len(before.split(name)) > 0
+    for old, new in zip(before, after, strict=True):
+        assert new.annotation.details["occlusion"].tolist() == old.annotation.details["occlusion"].tolist()
+
+
+@pytest.mark.parametrize("truth", ["own", "as_kitti"])
+def test_kittis_protocol_scores_what_convert_wrote_and_says_what_is_not_known(
+    tmp_path: Path, own: Path, truth: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["convert", str(own), str(tmp_path / "as_kitti"), "--to", "kitti"]) == 0
+    predictions = results(own, tmp_path / "predictions")
+    words = ["--format", "kitti", "--label", "Car", "--replicates", "5", "--json", str(tmp_path / "s.json")]
+    assert main(["score", str(predictions), str(tmp_path / truth), *words, "--protocol", "kitti"]) == 0
+    tree = json.loads((tmp_path / "s.json").read_text())
+    assert tree["ap"]["3d_r40"] == {"easy": 1.0, "moderate": 1.0, "hard": 1.0}
+    assert "occlusion of all 4 annotated boxes is not known" in capsys.readouterr().out

@@ -44,9 +44,19 @@ def test_all_boxes_without_a_2d_box_are_refused(tmp_path: Path, none: str, side:
         score(tmp_path, *(sides if side == "annotated" else sides[::-1]))
 
 
-def test_labels_without_known_occlusion_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="known occlusion"):
-        score(tmp_path, [SEEN] * 3, [SEEN] * 3, occlusion=3)
+def test_where_no_occlusion_is_known_the_other_facts_make_the_difficulties(tmp_path: Path) -> None:
+    notes = score(tmp_path, [SEEN] * 3, [SEEN] * 3, occlusion=3)
+    (note,) = [note for note in notes if "occlusion" in note]
+    assert "of all 3 annotated boxes is not known" in note
+    assert "by height and truncation alone" in note
+
+
+def test_some_boxes_of_unknown_occlusion_are_named_with_their_number(tmp_path: Path) -> None:
+    paths = folder(tmp_path / "results", [SEEN] * 2, " 0.9"), folder(tmp_path / "labels", [SEEN] * 2)
+    label = paths[1] / "000000.txt"
+    label.write_text(label.read_text().replace("Car 0 0", "Car 0 3", 1))
+    result = PROTOCOLS["kitti"].evaluate(read(*paths, format="kitti"), PROTOCOLS["kitti"].Settings(label="Car"))
+    assert [note for note in result.notes if "1 of 2 annotated boxes of 'Car' have no known occlusion" in note]
 
 
 def test_the_verb_exits_with_1_and_names_what_would_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
+from jaxtyping import Int
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
@@ -17,6 +18,7 @@ from farfield.datasets.folder import Folder
 from farfield.datasets.kitti.object import KittiWriter
 from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
 from farfield.datasets.labels.json_labels import DatumaroLabels, OpenLabels, SustechLabels, file_name
+from farfield.datasets.splits import SPLIT_SHARES
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
@@ -291,8 +293,18 @@ class _ToKitti(_FrameConversion):
 
     def __call__(self, unit: Unit) -> UnitResult:
         index, frame = unit.parameters, self.dataset[unit.parameters]
-        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=boxes_of(frame, self.boxes))
+        boxes, occlusion = boxes_of(frame, self.boxes), _occlusion(frame)
+        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=boxes, occlusion=occlusion)
         return UnitResult(files=tuple(paths.values()))
+
+
+def _occlusion(frame: Frame) -> Int[np.ndarray, " n"] | None:
+    """How far each box is hidden, as the labels say: 0 to 2, 3 where they do not know it."""
+    details = {} if frame.annotation is None else frame.annotation.details
+    if "occlusion" not in details:
+        return None
+    values = np.asarray(details["occlusion"]).astype(np.int64)
+    return np.where((values >= 0) & (values < 3), values, 3)
 
 
 def _finish_kitti(dataset: Dataset, target: Path) -> None:
@@ -308,12 +320,13 @@ def _finish_kitti(dataset: Dataset, target: Path) -> None:
 
 
 def _write_image_sets(dataset: Dataset, target: Path) -> None:
-    """Carry the split over as KITTI's usual lists; a set of fewer than three sequences has no split."""
-    if len(set(dataset.split_units())) < 3:
+    """Carry the split over as KITTI's usual lists: the parts that a file names, else those of three or more sequences."""
+    named = dataset.split_parts()
+    if not named and len(set(dataset.split_units())) < len(SPLIT_SHARES):
         return
     number = {key: index for index, key in enumerate(dataset.keys)}
     (target / "ImageSets").mkdir(exist_ok=True)
-    for name in ("train", "val", "test"):
+    for name in (part for part in SPLIT_SHARES if part in (named or SPLIT_SHARES)):
         rows = [f"{number[key]:06d}\n" for key in dataset.split(name).keys]
         write_text(target / "ImageSets" / f"{name}.txt", "".join(rows))
 
