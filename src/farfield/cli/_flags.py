@@ -47,15 +47,7 @@ class ReadingFlags:
     @property
     def options(self) -> dict[str, Any]:
         """What :func:`farfield.open_dataset` takes of the flags that are set."""
-        options = {
-            "mapping": self.mapping,
-            "labels": self.labels,
-            "roots": self.roots,
-            "bin_columns": self.columns,
-            "tracklets": self.tracklets,
-            "label_axes": self.label_axes,
-        }
-        return {name: value for name, value in options.items() if value}
+        return {_OPTION_OF.get(name, name): value for name, value in vars(self).items() if value}
 
     def open(self, path: Path, **options: Any) -> "Dataset":
         """Open a data set and say what its reader assumed.
@@ -67,10 +59,48 @@ class ReadingFlags:
         from farfield.datasets import open_dataset
 
         further = {name: value for name, value in options.items() if value}
-        data = open_dataset(path, **self.options, **further)
+        data = open_dataset(path, **{**self.options, **further})
         for sentence in _assumptions(data):
             print(f"note: {sentence}", file=sys.stderr)
         return data
+
+    def open_both(self, paths: Sequence[Path], mappings: Sequence[Path | None]) -> "list[Dataset]":
+        """Open data sets that are set side by side: a flag that one reader does not know counts for the others.
+
+        Args:
+            paths: Their folders.
+            mappings: The mapping of each alone.
+
+        Raises:
+            ConfigError: If no reader knows a flag.
+        """
+        from farfield.datasets.formats import known_options
+
+        known = [known_options(path, self.options) for path in paths]
+        strange = [name for name in self.options if not any(name in names for names in known)]
+        if strange:
+            self.open(paths[0])  # its error names what the reader knows
+        opened = []
+        for path, mapping, names in zip(paths, mappings, known, strict=True):
+            flags = {name: value for name, value in vars(self).items() if _OPTION_OF.get(name, name) in names}
+            opened.append(ReadingFlags(**flags).open(path, mapping=mapping))
+        return opened
+
+    def check_unused(self, what: str) -> None:
+        """Refuse flags that would read nothing.
+
+        Args:
+            what: What is lacking.
+
+        Raises:
+            ConfigError: If one is set.
+        """
+        if self.options:
+            flag = next(name for name, value in vars(self).items() if value).replace("_", "-")
+            raise ConfigError(f"--{flag}: expected {what}, whose files it says how to read")
+
+
+_OPTION_OF = {"columns": "bin_columns"}
 
 
 def _assumptions(data: "Dataset") -> tuple[str, ...]:

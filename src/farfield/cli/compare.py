@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, Jobs, parse_pairs
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading, parse_pairs
 from farfield.cli._output import read_json, write_json
 
 if TYPE_CHECKING:
-    from farfield.datasets import Dataset
     from farfield.inspection.comparison import ComparedDataset
     from farfield.pages.dataset_pages import ComparisonLine
 
@@ -29,6 +28,7 @@ def run(
     focus_deg: float = -2.0,
     clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
     jobs: Jobs = ALL_CORES,
+    reading: Reading = AS_THEY_ARE,
     mapping_a: Path | None = None,
     mapping_b: Path | None = None,
     out: Path | None = None,
@@ -54,7 +54,8 @@ def run(
         clouds: Which cloud of A stands beside which of B, as A:B with commas between, such as gaussian:lidar; unless
             given those of one name, or where no name is in both the first beside the first.
         jobs: Who does the work.
-        mapping_a: Mapping YAML of a, if it is a Cirrus copy that deviates from the documented layout.
+        reading: How the files of both are read; what one reader does not know counts for the other.
+        mapping_a: Mapping YAML of a alone, of its classes or its layout.
         mapping_b: The same of b.
         out: Folder to write into; runs/compare-A-B unless given.
         json: Write what is in comparison.json into this file too; - prints it.
@@ -69,7 +70,7 @@ def run(
     if not labels:
         raise ConfigError(f"--vehicle-labels: expected at least one class, got {vehicle_labels!r}")
     called = _names(names, (a, b))
-    opened = [_open(path, mapping) for path, mapping in ((a, mapping_a), (b, mapping_b))]
+    opened = reading.open_both((a, b), (mapping_a, mapping_b))
     sides: Sequence[ComparedDataset] = [
         count_dataset(data, name, frames, jobs.options(name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)
@@ -99,12 +100,6 @@ def _names(names: str, paths: Sequence[Path]) -> tuple[str, str]:
     if titles[0] == titles[1]:
         titles = f"A: {titles[0]}", f"B: {titles[1]}"
     return titles[0], titles[1]
-
-
-def _open(path: Path, mapping: Path | None) -> "Dataset":
-    from farfield.datasets import open_dataset
-
-    return open_dataset(path, mapping=mapping) if mapping else open_dataset(path)
 
 
 def _print(lines: "Sequence[ComparisonLine]", sides: "Sequence[ComparedDataset]") -> None:

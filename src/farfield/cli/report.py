@@ -6,7 +6,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, JobFlags, Jobs
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, JobFlags, Jobs, Reading, ReadingFlags
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 
@@ -23,6 +23,7 @@ def run(
     frames: int = 0,
     reach_m: float = 100.0,
     rate_hz: float = 0.0,
+    reading: Reading = AS_THEY_ARE,
     jobs: Jobs = ALL_CORES,
 ) -> int:
     """Turn an evaluation or a training into one self-contained HTML page, or a drive of a data set into a film.
@@ -52,11 +53,13 @@ def run(
         frames: Only so many frames from its beginning; 0: all.
         reach_m: How far ahead the film's views from above show.
         rate_hz: Frames a second; 0 takes the drive's own.
+        reading: How the files of the data set are read that a film shows.
         jobs: Who does the work.
     """
     if film is not None:
         boxes = None if predictions is None else (predictions, format)
-        return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
+        return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), reading, jobs)
+    reading.check_unused("--film, which shows a data set")
     from farfield.errors import ConfigError
     from farfield.evaluation.record import EVALUATION, Evaluation
     from farfield.experiments.course import course_of, is_run
@@ -82,15 +85,15 @@ def _film(
     drive: str,
     frames: int,
     shown: tuple[float, float, float],
+    reading: ReadingFlags,
     jobs: JobFlags,
 ) -> int:
-    from farfield.datasets import open_dataset
     from farfield.evaluation import in_coordinates
     from farfield.metrics.box_files import read_predictions
     from farfield.pages.film import FilmSettings, drive_named, make_film
 
     predicted = None if predictions is None else read_predictions(predictions[0], format=predictions[1])
-    data = in_coordinates(open_dataset(root), "" if predicted is None else predicted.reference)
+    data = in_coordinates(reading.open(root), "" if predicted is None else predicted.reference)
     drive_shown = drive_named(data, drive)
     if frames:
         data = data.select([int(index) for index in drive_shown.indices[:frames]])

@@ -320,7 +320,7 @@ def _finish_kitti(dataset: Dataset, target: Path) -> None:
 
 
 def _write_image_sets(dataset: Dataset, target: Path) -> None:
-    """Carry the split over as KITTI's usual lists: the parts that a file names, else those of three or more sequences."""
+    """Carry the split over as KITTI's usual lists: the parts a file names, else those of three or more sequences."""
     named = dataset.split_parts()
     if not named and len(set(dataset.split_units())) < len(SPLIT_SHARES):
         return

@@ -1,7 +1,7 @@
 """The formats of data sets: how each is recognised, what reads it, a registry open to packages, open_dataset."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -395,7 +395,8 @@ def _class_mapping(
         return {}, options
     beside = root / MAPPING_NAME
     path = Path(mapping) if mapping is not None else beside if beside.is_file() else None
-    if path is None or not maps_classes(path):
+    beside_others = mapping is None and format != "cirrus"  # which has a mapping of another kind
+    if path is None or not (beside_others or maps_classes(path)):
         return {}, options
     return read_class_mapping(path), {name: value for name, value in options.items() if name != "mapping"}
 
@@ -410,10 +411,9 @@ def _inside(root: Path) -> str:
 
 def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> set[str]:
     """Options that are the reader's own; the others are views, of which it must offer each."""
-    parameters = [*inspect.signature(reader).parameters.values()][1:]
-    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+    own = _parameters(reader)
+    if own is None:
         return set(options) - {*_EVERYWHERE, *reader.view_options}
-    own = [parameter.name for parameter in parameters]
     offered = [*own, *(name for name in reader.view_options if name not in own), *_EVERYWHERE]
     unknown = [name for name in options if name not in offered]
     if unknown:
@@ -423,6 +423,25 @@ def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> se
             f"{', '.join(offered)}"
         )
     return set(own)
+
+
+def _parameters(reader: Any) -> list[str] | None:
+    """The options of a reader's own; None where it takes any."""
+    parameters = [*inspect.signature(reader).parameters.values()][1:]
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        return None
+    return [parameter.name for parameter in parameters]
+
+
+def known_options(path: Path | str, options: Iterable[str]) -> set[str]:
+    """Those of some options of :func:`open_dataset` that a data set's format knows; all where it is not recognised."""
+    root = Path(path).expanduser()
+    format = recognise(root) if root.is_dir() else None
+    reader = None if format is None else find_format(format).load()
+    own = None if reader is None else _parameters(reader)
+    if reader is None or own is None:
+        return set(options)
+    return set(options) & {*own, *reader.view_options, *_EVERYWHERE, "mapping"}
 
 
 def _viewed(data: Dataset, options: Mapping[str, Any]) -> Dataset:

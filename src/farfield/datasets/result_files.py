@@ -108,7 +108,7 @@ class ResultWriter:
             folder = out / sequence if several else out
             if folder not in named:
                 named.add(folder)
-                write_coordinates(folder, self._coordinates(frame))
+                write_coordinates(folder, coordinates_of_text(self.frames, frame))
             objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=KITTI_FROM_CIRRUS)
             write_labels(folder / f"{frame_id}.txt", objects)
         if virtual:
@@ -116,12 +116,6 @@ class ResultWriter:
                 f"{virtual} frames have no camera: their boxes stand in KITTI's axes at the sensor, and 2D boxes are "
                 "those of a virtual camera there"
             )
-
-    def _coordinates(self, frame: Frame) -> str:
-        """What KITTI's boxes of a frame stand in: as the labels of a converted data set name it, else its camera."""
-        reader = self.frames.unwrapped if isinstance(self.frames, Dataset) else None
-        beside = read_coordinates(reader.folder / "label_2") if isinstance(reader, Kitti) else ""
-        return beside or camera_words(next(iter(frame.cameras), ""), frame.reference)
 
     def _nuscenes(self, out: Path, frame_boxes: Found) -> None:
         """One list of boxes a sample, in the world where every frame's pose is known."""
@@ -172,3 +166,10 @@ def _samples(token: str, boxes: Boxes) -> Iterator[dict[str, Any]]:
             "detection_score": float(score[row]),
             "attribute_name": "",
         }
+
+
+def coordinates_of_text(frames: Sequence[Frame] | Dataset, frame: Frame) -> str:
+    """What boxes in KITTI's text stand in: as the labels of a converted data set name it, else the frame's camera."""
+    reader = frames.unwrapped if isinstance(frames, Dataset) else None
+    beside = read_coordinates(reader.folder / "label_2") if isinstance(reader, Kitti) else ""
+    return beside or camera_words(next(iter(frame.cameras), ""), frame.reference)

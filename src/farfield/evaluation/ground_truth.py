@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from farfield.datasets.kitti.boxes import objects_from_boxes
 from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.memory import in_memory
+from farfield.datasets.result_files import coordinates_of_text
 from farfield.errors import ConfigError
 from farfield.evaluation.detecting import check_new_key, label_facts, points_in_boxes, with_point_count
-from farfield.files.coordinates import camera_words
 from farfield.frame import Annotation, Boxes, Constant, Frame, Key
 from farfield.metrics.box_files import kitti_boxes, read, read_predictions
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
@@ -88,7 +89,12 @@ def _unknown_frames(boxes: Mapping[Key, Boxes], annotated: Collection[Key], keys
 
 
 def read_detections(
-    predictions: Path | str, labels: Path | str | Dataset, *, format: str = "boxes-csv", reference: str = ""
+    predictions: Path | str,
+    labels: Path | str | Dataset,
+    *,
+    format: str = "boxes-csv",
+    reference: str = "",
+    **options: Any,
 ) -> Detections:
     """Predictions of files beside the labels of files, or of a data set.
 
@@ -98,17 +104,24 @@ def read_detections(
         format: As of :func:`farfield.metrics.box_files.read`. With ``"kitti"`` a data set's boxes are seen in the
             axes of its camera, as ``predict --format kitti`` writes them.
         reference: Coordinates in which boxes stand whose files do not name them.
+        **options: Those of :func:`farfield.open_dataset`, for a data set's folder.
 
     Raises:
-        ConfigError: If there is nothing to read or to score, or the files name other coordinates.
+        ConfigError: If there is nothing to read or to score, the files name other coordinates, or options are given
+            where no data set is opened.
         FileFormatError: If a file does not have its format.
     """
     if isinstance(labels, Path | str):
         folder = Path(labels)
         texts = folder.is_dir() and any(folder.glob("*.txt"))
         if format not in ("boxes-csv", "kitti") or texts or not folder.is_dir() or recognise(folder) is None:
+            if options:
+                raise ConfigError(
+                    f"{', '.join(options)}: expected a data set's folder in the place of the labels, whose files are "
+                    f"read so, got files of boxes: {labels}"
+                )
             return read(predictions, labels, format=format, reference=reference)
-        labels = open_dataset(folder)
+        labels = open_dataset(folder, **options)
     if format == "kitti":
         return _in_cameras(Path(predictions), labels, reference)
     return attach_ground_truth(read_predictions(predictions, format=format, reference=reference), labels)
@@ -126,7 +139,7 @@ def _in_cameras(predictions: Path, data: Dataset, reference: str) -> Detections:
         ConfigError: If the predictions name other coordinates, or none is of an annotated frame.
     """
     reader = data.unwrapped
-    if isinstance(reader, Kitti):
+    if isinstance(reader, Kitti) and reader.label_axes == "camera" and not data.maps:
         return read(predictions, reader.folder / "label_2", format="kitti", reference=reference)
     sequences = list(dict.fromkeys(data.sequences))
     folders = {name: predictions / name for name in sequences if (predictions / name).is_dir()}
@@ -139,7 +152,7 @@ def _in_cameras(predictions: Path, data: Dataset, reference: str) -> Detections:
         boxes |= {(sequence, frame): predicted for (_, frame), predicted in detections.boxes.items()}
         details |= {(sequence, frame): facts for (_, frame), facts in detections.prediction_details.items()}
         notes += [note for note in detections.notes if note not in notes]
-        own = camera_words(next(iter(data[0].cameras), ""), data[0].reference)
+        own = coordinates_of_text(data, data[0])
         if detections.reference not in ("", own):
             raise ConfigError(
                 f"{folder}: the boxes stand in the coordinates of {detections.reference}; those of {data.root} can be "
@@ -158,6 +171,9 @@ def _in_camera(data: Dataset, index: int) -> Frame:
     boxes = Boxes.empty() if frame.boxes is None else frame.boxes
     objects = objects_from_boxes(boxes, next(iter(frame.cameras.values()), VIRTUAL_CAMERA), classes=KITTI_FROM_CIRRUS)
     facts = {"truncation": objects.truncation, "occlusion": objects.occlusion, "box_px": objects.box_px}
+    details = {} if frame.annotation is None else frame.annotation.details
+    if all(name in details for name in facts):  # KITTI's own labels under other names
+        facts = {name: details[name] for name in facts}
     annotation = Annotation(boxes=kitti_boxes(objects), details=facts)
     return Frame(sequence=frame.sequence, frame_id=frame.frame_id, load_annotation=Constant(annotation))
 
