@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
+from unicodedata import normalize
 
 import numpy as np
 import yaml
@@ -19,6 +20,7 @@ from farfield.vocabulary.classes import normalised_class
 
 MAPPING_NAME = "mapping.yaml"
 _MAX_MAPPING_BYTES = 1 << 20
+_MOST_GROUPS = 10_000
 
 
 class _Classes(BaseModel):
@@ -34,10 +36,19 @@ def read_class_mapping(path: Path | str) -> Mapping[str, str]:
         ConfigError: If it cannot be read, is no YAML, or has another key.
     """
     try:
-        return _Classes.model_validate(_content(path)).classes
+        classes = _Classes.model_validate(_content(path)).classes
     except ValidationError as error:
-        fix = "A mapping of classes has one key, such as classes: {Auto: vehicle}."
+        fix = "A mapping of classes has one key, such as classes: {Auto: vehicle}; numbers, No and Yes need quotes."
         raise ConfigError(f"{path}: {plain(error)}. {fix}") from error
+    return _in_one_form(path, classes)
+
+
+def _in_one_form(path: Path | str, classes: Mapping[str, str]) -> dict[str, str]:
+    """The classes with their names in composed Unicode, in which readers compare them."""
+    for name in classes.values():
+        if not name.isprintable():
+            raise ConfigError(f"{path}: expected names of classes on one line, got {name!r}")
+    return {normalize("NFC", name): normalize("NFC", ours) for name, ours in classes.items()}
 
 
 def maps_classes(path: Path | str) -> bool:
@@ -52,10 +63,24 @@ def maps_classes(path: Path | str) -> bool:
 
 def _content(path: Path | str) -> Any:
     try:
-        content = yaml.safe_load(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
+        text = read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8")
+        _check_keys(yaml.compose(text, yaml.SafeLoader), path)
+        content = yaml.safe_load(text)
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
     return {} if content is None else content
+
+
+def _check_keys(node: yaml.Node | None, path: Path | str) -> None:
+    """Refuse a key that stands twice in one group: YAML would take the last of them in silence."""
+    groups = [node]
+    for group in groups:
+        if isinstance(group, yaml.MappingNode) and len(groups) < _MOST_GROUPS:
+            keys = [key.value for key, _ in group.value if isinstance(key, yaml.ScalarNode)]
+            twice = next((key for index, key in enumerate(keys) if key in keys[:index]), None)
+            if twice is not None:
+                raise ConfigError(f"{path}: expected each key once, got {twice!r} twice. Remove one of them")
+            groups += [value for _, value in group.value]
 
 
 def renamed(annotation: Annotation, classes: Mapping[str, str]) -> Annotation:
@@ -67,7 +92,10 @@ def renamed(annotation: Annotation, classes: Mapping[str, str]) -> Annotation:
     """
     names = tuple(map(str, annotation.boxes.label))
     written = names if annotation.original_label is None else tuple(map(str, annotation.original_label))
-    new = [classes.get(own, classes.get(name, name)) for own, name in zip(written, names, strict=True)]
+    new = [
+        classes.get(normalize("NFC", own), classes.get(normalize("NFC", name), normalize("NFC", name)))
+        for own, name in zip(written, names, strict=True)
+    ]
     if tuple(new) == names:
         return annotation
     full = annotation.full_boxes

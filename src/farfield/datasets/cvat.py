@@ -46,12 +46,12 @@ class CvatTask:
     labels: tuple[Path, ...]
     parse: Callable[[bytes, Path], tuple[Cuboid, ...]]
 
-    def label_file(self, index: int) -> Path | None:
-        """The label file of a cloud."""
+    def label_files(self, index: int) -> tuple[Path, ...]:
+        """The label files that may hold boxes of a cloud."""
         if self.parse is not parse_supervisely:
-            return self.labels[0]
+            return self.labels
         name = self.clouds[index].name
-        return next((path for path in self.labels if path.name == f"{name}.json"), None)
+        return tuple(path for path in self.labels if path.name == f"{name}.json")
 
     def stray_labels(self) -> list[str]:
         """Label files of single clouds that belong to none."""
@@ -117,14 +117,14 @@ class Cvat(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
         task, cloud_index = self.frames[index]
-        label = task.label_file(cloud_index)
-        beside = [] if label is None else [label, label.with_name(FRAME_LIST)]
+        labels = task.label_files(cloud_index)
+        beside = [*labels, *(path.with_name(FRAME_LIST) for path in labels[:1])]
         return [task.clouds[cloud_index], *(path for path in beside if path.is_file())]
 
     def has_annotation(self, index: int) -> bool:
         """Whether there is a label file for frame ``index``; a frame that it does not mention has no objects."""
         task, cloud_index = self.frames[index]
-        return task.label_file(cloud_index) is not None
+        return bool(task.label_files(cloud_index))
 
     def annotation(self, index: int) -> Annotation | None:
         """The boxes of frame ``index``."""
@@ -167,7 +167,7 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
     if all(task.parse is parse_supervisely for task in data.tasks):
         entries = zip(data.keys, data.frames, strict=True)
         return SuperviselyLabels({key: _ann(task, index) for key, (task, index) in entries})
-    files = [task.labels[0] for task in data.tasks if task.parse is _datumaro]
+    files = [task.labels[0] for task in data.tasks if task.parse is _datumaro and len(task.labels) == 1]
     if len(files) == len(data.tasks) == 1:
         return DatumaroLabels(files[0])
     named = all(path == DatumaroLabels(data.root).path((path.parents[1].name, "")) for path in files)
@@ -176,7 +176,7 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
 
 def _ann(task: CvatTask, index: int) -> Path:
     """The annotation file of a cloud, or where it would stand."""
-    return task.label_file(index) or task.folder / "ann" / f"{task.clouds[index].name}.json"
+    return next(iter(task.label_files(index)), None) or task.folder / "ann" / f"{task.clouds[index].name}.json"
 
 
 def _check_names(task: CvatTask) -> None:
@@ -202,16 +202,21 @@ def tracklets_of(task: CvatTask, convention: str | None) -> TrackletReading:
 def _annotation(task: CvatTask, index: int, convention: str | None) -> Annotation:
     if task.parse is parse_tracklets:
         return annotation_of(tracklets_of(task, convention).boxes(task.clouds[index].stem))
-    path = task.label_file(index)
-    assert path is not None
-    status = path.stat()
-    by_frame = _parsed(path, task.parse, status.st_mtime_ns, status.st_size)
-    if task.parse is parse_supervisely:
-        return annotation_of(by_frame.get("", ()))
-    name = _frame_of_stem(path, tuple(cloud.stem for cloud in task.clouds), tuple(by_frame)).get(
-        task.clouds[index].stem
-    )
-    return annotation_of(() if name is None else by_frame[name])
+    stems, stem = tuple(cloud.stem for cloud in task.clouds), task.clouds[index].stem
+    boxes: tuple[Cuboid, ...] = ()
+    for path in task.label_files(index):
+        status = path.stat()
+        by_frame = _parsed(path, task.parse, status.st_mtime_ns, status.st_size)
+        if task.parse is parse_supervisely:
+            return annotation_of(by_frame.get("", ()))
+        name = _frame_of_stem(path, stems, tuple(by_frame)).get(stem)
+        if name is not None and boxes:
+            raise DatasetError(
+                f"{path}: expected each cloud in one of a task's files, found boxes of {name!r} in another too. "
+                "Leave one of the files there"
+            )
+        boxes = boxes if name is None else by_frame[name]
+    return annotation_of(boxes)
 
 
 @lru_cache(maxsize=4)

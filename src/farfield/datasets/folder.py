@@ -31,6 +31,7 @@ from farfield.datasets.class_mapping import MAPPING_NAME, read_class_mapping, re
 from farfield.errors import DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
+from farfield.files.cuboids import check_yaw
 from farfield.files.images import read_image
 from farfield.frame import Annotation, Boxes, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES, columns_shown, read_cloud
@@ -76,6 +77,8 @@ def read_boxes(path: Path | str) -> Boxes:
         raise FileFormatError(path, where="keys", expected="boxes", got=plain(error)) from error
     if not entries:
         return Boxes.empty()
+    for number, entry in enumerate(entries):
+        check_yaw(entry.yaw_rad, path, f"box {number}")
     scores = [entry.score for entry in entries]
     tracks = [-1 if entry.track_id is None else entry.track_id for entry in entries]
     if any(score is None for score in scores) and any(score is not None for score in scores):
@@ -144,6 +147,8 @@ def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
         FileFormatError: If it is no such table.
     """
     rows = read_boxes_csv(path)
+    for row, yaw_rad in enumerate(rows.yaw_rad.tolist()):
+        check_yaw(yaw_rad, path, f"box {row + 1}")
     boxes = Boxes(
         centre_m=rows.centre_m,
         size_m=rows.size_m,

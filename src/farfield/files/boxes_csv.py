@@ -103,8 +103,8 @@ def parse_boxes_csv(data: bytes, path: Path | str) -> BoxRows:
         for name, text in zip(header, row, strict=True):
             written, text = text, text.strip()
             if name in texts:
-                if not text:
-                    raise _wrong(path, line, f"a {name}", "an empty cell")
+                if not text or not text.isprintable():
+                    raise _wrong(path, line, f"a {name} on one line", repr(text[:40]) if text else "an empty cell")
                 if name in ("sequence", "frame") and spellings.setdefault((name, text), written) != written:
                     expected = f"each {name} spelt in one way: blanks about a name are no part of it"
                     raise _wrong(path, line, expected, f"{written!r} and {spellings[name, text]!r}")
@@ -235,7 +235,7 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
     if not text and name in (*_OPTIONAL, *_VELOCITY):
         return -1.0 if name in _COUNTS else math.nan
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -89,17 +89,19 @@ def parse_frame_list(data: bytes, path: Path | str) -> dict[int, str]:
     if len(data) > _MAX_LIST_BYTES:
         raise FileFormatError(path, where="the file", expected=f"at most {_MAX_LIST_BYTES} bytes", got=f"{len(data)}")
     names: dict[int, str] = {}
+    sweeps: set[str] = set()
     for line, text in enumerate(data.decode("utf-8-sig", errors="replace").splitlines(), start=1):
         if not text.strip() or text.startswith("#"):
             continue
-        number, _, name = text.strip().partition(" ")
+        number, name = [*text.split(maxsplit=1), ""][:2]
         name = name.strip()
         if not (number.isascii() and number.isdigit() and len(number) < 10 and name):
             raise FileFormatError(path, where=f"line {line}", expected="NUMBER NAME", got=repr(text[:80]))
-        if int(number) in names or name in names.values():
+        if int(number) in names or name in sweeps:
             expected = "each number and each name once"
             raise FileFormatError(path, where=f"line {line}", expected=expected, got=repr(text[:80]))
         names[int(number)] = name
+        sweeps.add(name)
     return names
 
 
@@ -126,7 +128,8 @@ def _boxes(item: Element, number: int, path: Path | str, convention: Convention)
         here = f"{where}, pose {step}"
         x, y, z, yaw = (_number(pose, name, path, here) for name in ("tx", "ty", "tz", "rz"))
         centre = (x, y, z + height / 2 if convention.bottom else z)
-        box = checked(centre, (length, width, height), yaw, path, here)
+        tilt = [_number(pose, name, path, here) for name in ("rx", "ry") if pose.get(name) is not None]
+        box = checked(centre, (length, width, height), yaw, path, here, tilt_rad=tilt)
         frame = str(int(first) + step)
         boxes.append(Cuboid(frame=frame, label=label, box=box, track=str(number), attributes=_seen(pose)))
     return boxes

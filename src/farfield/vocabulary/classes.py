@@ -7,6 +7,7 @@ are none of ours. Names that neither we nor they know, such as one's own ``Cone`
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from unicodedata import normalize
 
 CIRRUS_CLASSES = (
     "vehicle",
@@ -228,7 +229,7 @@ def normalised_class(name: str, aliases: Mapping[str, str]) -> str:
         return aliases[name]
     plain = "_".join(name.strip().lower().replace("-", " ").replace("_", " ").split())
     plain = aliases.get(plain, CIRRUS_FROM_USUAL.get(plain, plain))
-    return plain if plain in CIRRUS_CLASSES else name
+    return plain if plain in CIRRUS_CLASSES else normalize("NFC", name)
 
 
 # Usual sizes of objects by class, metres: where detectors start from.

@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from farfield.errors import ConfigError, DatasetError, plain
+from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
+from farfield.files.cuboids import check_yaw
 from farfield.files.kitti import KittiObjects
 from farfield.frame import Annotation, Boxes, Camera, CameraField
 from farfield.geometry.cameras import image_boxes
@@ -49,6 +50,7 @@ LABEL_AXES = ("camera", "lidar", "lidar-bottom")
 """In which axes labels stand: KITTI's camera; or the LiDAR's, x y z the centre, or the bottom's centre, and rotation_y
 the yaw about z, as own labels with a unit calibration have them."""
 _UNIT = 0.1
+_MOST_UP = -0.5  # the upward part of a camera's y axis at most
 
 
 def checked_axes(label_axes: str) -> None:
@@ -79,15 +81,23 @@ def boxes_in_axes(
         classes: As of :func:`boxes_from_objects`.
 
     Raises:
-        DatasetError: If the labels are said to stand in the camera's axes, and the calibration turns nothing: no camera
-            stands so, its axes are the LiDAR's.
+        DatasetError: If the labels are said to stand in the camera's axes, and the calibration's y axis does not point
+            down: no camera stands so.
+        FileFormatError: If a yaw is in degrees, or an object has some of the three sizes.
     """
+    for line, yaw_rad, sizes in zip(objects.line, objects.rotation_y_rad, objects.size_m, strict=True):
+        check_yaw(float(yaw_rad), path, f"line {line}")
+        if (sizes > 0).any() and not (sizes > 0).all():
+            expected = "three positive sizes, or none of an object without a 3D box"
+            raise FileFormatError(path, where=f"line {line}", expected=expected, got=repr(sizes.tolist()))
     if label_axes != "camera":
         return boxes_in_lidar(objects, bottom=label_axes == "lidar-bottom", classes=classes)
-    if np.abs(camera_T_lidar[:3, :3] - np.eye(3)).max() < _UNIT and objects.has_box.any():
+    if camera_T_lidar[1, 2] > _MOST_UP and objects.has_box.any():
+        unit = np.abs(camera_T_lidar[:3, :3] - np.eye(3)).max() < _UNIT
+        turn = "turns nothing (R0_rect and Tr_velo_to_cam are unit matrices)" if unit else "leaves y level or up"
         raise DatasetError(
-            f"{path}: expected boxes in a camera's axes (x right, y down, z ahead), got a calibration that turns "
-            "nothing (R0_rect and Tr_velo_to_cam are unit matrices): the labels stand in the LiDAR's axes. Say so by "
+            f"{path}: expected boxes in a camera's axes (x right, y down, z ahead), got a calibration that {turn}: "
+            "the labels stand in the LiDAR's axes, or Tr_velo_to_cam is not the way from the LiDAR to the camera. Say "
             "--label-axes lidar (x y z is the centre of a box, rotation_y its yaw about z) or lidar-bottom (x y z is "
             "the centre of its bottom), or give the camera's calibration"
         )

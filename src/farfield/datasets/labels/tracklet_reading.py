@@ -111,7 +111,7 @@ def checked_convention(convention: str | None) -> None:
         raise ConfigError(f"tracklets: expected one of {', '.join(CONVENTIONS)}, got {convention!r}")
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=64)
 def _reading(
     path: Path,
     clouds: tuple[Path, ...],
@@ -171,7 +171,14 @@ def _numbers_by_list(
             f"{beside}: expected the sweeps that it names for frames with boxes, found no {', '.join(missing[:3])} "
             f"among {clouds[0].name} ... {clouds[-1].name}. Put those sweeps there, or export boxes and list anew."
         )
-    number_of = {stem: number for number, stem in named.items()}
+    number_of: dict[str, int] = {}
+    for number, stem in named.items():
+        other = number_of.setdefault(stem, number)
+        if stem in stems and other != number:
+            raise DatasetError(
+                f"{beside}: expected each sweep once, got {listed[other]!r} and {listed[number]!r}, which both are "
+                f"{stem}: boxes of two sweeps would stand on one. Give the sweeps names of their own and export anew."
+            )
     return {cloud.stem: number_of.get(cloud.stem, -1) for cloud in clouds}
 
 

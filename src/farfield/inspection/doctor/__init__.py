@@ -11,6 +11,7 @@ from farfield.inspection.doctor.content import (
     check_clouds_upright,
     check_sizes,
     check_suspicious_boxes,
+    check_tracks,
 )
 from farfield.inspection.doctor.conventions import check_conventions, check_quaternion_order
 from farfield.inspection.doctor.inventory import check_inventory, check_stamps, check_timing
@@ -33,6 +34,7 @@ _CHECKS = (
     check_classes,
     check_sizes,
     check_suspicious_boxes,
+    check_tracks,
 )
 
 

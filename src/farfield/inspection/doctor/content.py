@@ -191,6 +191,7 @@ def check_sizes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         what = f"the median box is {longest:.3g} long: sizes seem to be in {unit}"
         yield Finding(severity="fail", topic="units", what=what, fix="Bring sizes and positions to metres.")
         return
+    yield from _order_of_sizes(boxes)
     limits = np.array([_LARGEST_M.get(label, (60.0, 20.0, 20.0)) for label in np.asarray(boxes.label).tolist()])
     large = (-np.sort(-boxes.size_m, axis=1) > limits).any(axis=1)
     small = boxes.size_m.max(axis=1) < 0.1
@@ -199,6 +200,29 @@ def check_sizes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     fix = "Look at them: a wrong class or a slip of the hand." if share else ""
     severity = "fail" if share > 0.5 and len(boxes) >= 10 else "warn" if share else "ok"
     yield Finding(severity=severity, topic="box sizes", what=what, fix=fix)  # type: ignore[arg-type]
+
+
+def _order_of_sizes(boxes: Boxes) -> Iterator[Finding]:
+    """Vehicles that are higher or wider than long: their sizes stand in another order."""
+    long = np.isin(np.asarray(boxes.label), ("vehicle", "large_vehicle", "trailer"))
+    for axis, word in ((2, "higher"), (1, "wider")):
+        wrong = long & (boxes.size_m[:, axis] > 1.2 * boxes.size_m[:, 0])
+        if wrong.sum() > 0.5 * long.sum():
+            what = f"{int(wrong.sum())} of {int(long.sum())} vehicles are {word} than long"
+            fix = "Sizes are length (along the heading), width, height: exchange them, or turn the yaw by pi/2."
+            yield Finding(severity="warn", topic="order of sizes", what=what, fix=fix)
+            return
+
+
+def check_tracks(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Find identities that stand twice in a frame."""
+    tracks = [boxes.track_id[boxes.track_id >= 0] for boxes in survey.boxes if boxes.track_id is not None]
+    doubled = sum(len(np.unique(numbers)) < len(numbers) for numbers in tracks)
+    if doubled:
+        facts["frames_with_doubled_tracks"] = doubled
+        what = f"{doubled} of {len(tracks)} frames have two boxes of one track"
+        fix = "An identity is one object: number them anew, or leave the numbers out."
+        yield Finding(severity="warn", topic="tracks", what=what, fix=fix)
 
 
 def check_suspicious_boxes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
