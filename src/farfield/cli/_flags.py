@@ -76,12 +76,12 @@ class ReadingFlags:
         """
         from farfield.datasets.formats import known_options
 
-        known = [known_options(path, self.options) for path in paths]
-        strange = [name for name in self.options if not any(name in names for names in known)]
+        own_options = [known_options(path, self.options) for path in paths]
+        strange = [name for name in self.options if not any(name in names for names in own_options)]
         if strange:
             self.open(paths[0])  # its error names what the reader knows
         opened = []
-        for path, mapping, names in zip(paths, mappings, known, strict=True):
+        for path, mapping, names in zip(paths, mappings, own_options, strict=True):
             flags = {name: value for name, value in vars(self).items() if _OPTION_OF.get(name, name) in names}
             opened.append(ReadingFlags(**flags).open(path, mapping=mapping))
         return opened
