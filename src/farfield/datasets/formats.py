@@ -385,19 +385,19 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
 
 def _class_mapping(
     root: Path, format: str | None, options: Mapping[str, Any]
-) -> tuple[Mapping[str, str], Mapping[str, Any]]:
+) -> tuple[Mapping[str, str], dict[str, Any]]:
     """The classes of a mapping for any format, given or beside the data, and the options less that mapping.
 
     Own folders read it themselves; a mapping of a Cirrus layout stays an option.
     """
     mapping = options.get("mapping")
     if format in (None, "folder") or not (mapping is None or isinstance(mapping, str | Path)):
-        return {}, options
+        return {}, dict(options)
     beside = root / MAPPING_NAME
     path = Path(mapping) if mapping is not None else beside if beside.is_file() else None
     beside_others = mapping is None and format != "cirrus"  # which has a mapping of another kind
     if path is None or not (beside_others or maps_classes(path)):
-        return {}, options
+        return {}, dict(options)
     return read_class_mapping(path), {name: value for name, value in options.items() if name != "mapping"}
 
 

@@ -217,7 +217,7 @@ def objects_from_boxes(boxes: Boxes, camera: Camera, *, classes: Mapping[str, st
     Raises:
         DatasetError: If two classes would have one name.
     """
-    names = kitti_names(boxes.label.tolist(), classes)
+    names = kitti_names(np.asarray(boxes.label).tolist(), classes)
     bottom, size, rotation_y = camera_from_lidar(boxes.centre_m, boxes.size_m, boxes.yaw_rad, camera.camera_T_lidar)
     box_px, truncation = image_boxes(boxes, camera)
     alpha = rotation_y - np.arctan2(bottom[:, 0], bottom[:, 2])

@@ -147,7 +147,7 @@ def _object(data: bytes, span: Span, convention: Convention) -> _TrackletObject:
     poses = [pose for group in span.all("poses") for pose in group.all("item")]
     first = int(float(texts["first_frame"]))
     length, width, height = (float(texts[name]) for name in convention.sizes)
-    numbered = {first + step: pose for step, pose in enumerate(poses)}
+    numbered: dict[int, Span | None] = {first + step: pose for step, pose in enumerate(poses)}
     return _TrackletObject(span, texts["objectType"], (length, width, height), convention, numbered)
 
 
