@@ -22,7 +22,6 @@ from farfield.datasets.kradar.index import KRadarFiles
 from farfield.datasets.kradar.label_table import read_label_table
 from farfield.datasets.kradar.labels import format_labels, read_labels
 from farfield.datasets.kradar.layout import INDEX_NAMES
-from farfield.datasets.kradar.products import read_radar
 from farfield.datasets.kradar.reader import read_split_list
 from farfield.datasets.kradar.writer import read_record
 from farfield.errors import FileFormatError
@@ -103,7 +102,6 @@ def radar_targets(folder: Path) -> dict[str, Recipe]:
         "mat": (".mat", read_mat, mat_seeds(folder, rng), finite_shape, pickles),
         "mat in blocks": (".mat", read_in_blocks, mat_seeds(folder, rng), anything, pickles),
         "npy": (".npy", npy.read_npy, arrays, finite_shape, pickles),
-        "kradar sparse npy": (".npy", lambda path: read_radar(path, "sparse"), arrays[:1], anything, pickles),
         "kradar labels": (".txt", read_both_ways, labels, anything, ()),
         **{name: (".txt", read, (text.encode(),), anything, ()) for name, (read, text) in plain.items()},
         "radar cells": (".h5", radar_cells.read_radar_cells, cell_seeds(folder, rng), anything, pickles),

@@ -463,6 +463,7 @@ CHOICES = (
     {"aiou_mean": "tp_mean"},
     {"range_assign": "match_then_bin"},
     {"ties": "later_first"},
+    {"ties": "stable"},
     {"scores": "raw"},
 )
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _fuzz_clouds import cloud_targets
 from _fuzz_formats import exchange_targets, radar_targets, time_targets
 from _fuzz_weights import weights_targets
 from _report import Part, part_parser, run_parts
@@ -162,7 +163,8 @@ def targets(folder: Path) -> dict[str, Target]:
     calib = "P2: " + " ".join(["7.2e+02"] * 12) + "\nR0_rect: " + " ".join(["1.0"] * 9) + "\n"
     detection = "0,2,296.7,161.8,452.3,292.9,12.2,1.51,1.69,4.09,-5.85,1.77,13.02,-1.6,-1.2"
     table = "sequence,frame,label,x,y,z,l,w,h,yaw_rad,score\n" + "a,000001,vehicle,1.5,2,3,4,2,1.5,-0.3,0.9\n" * 8
-    more = exchange_targets() | radar_targets(folder) | time_targets(folder) | weights_targets(folder)
+    more = exchange_targets() | radar_targets(folder) | time_targets(folder)
+    more |= cloud_targets(folder) | weights_targets(folder)
     return {
         "xyz": Target(".xyz", xyz.read_xyz, xyz_seeds(folder, rows), finite_rows, xyz_seeds(folder, many)),
         "pcd": Target(".pcd", pcd.read_pcd, pcd_seeds(folder, rows), equal_lengths, pcd_seeds(folder, many)),

@@ -190,7 +190,7 @@ def run_farfield(path: Path) -> dict[str, Any]:
         return held
 
     annotated, predicted = boxes("annotated"), boxes("predicted")
-    settings = NuScenesSettings(range_bins_m=(0.0, np.inf), bootstrap=Bootstrap(replicates=0))
+    settings = NuScenesSettings(ties="later_first", range_bins_m=(0.0, np.inf), bootstrap=Bootstrap(replicates=0))
     watch = Stopwatch()
     result = evaluate_nuscenes(predicted, annotated, settings)
     times = watch.times()

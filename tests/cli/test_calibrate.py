@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -65,6 +66,10 @@ def test_a_camera_is_calibrated_and_written(tmp_path: Path, capsys: pytest.Captu
     writer.finish()
     save = tmp_path / "mine.json"
     words = ["lidar-camera", str(tmp_path / "set"), "--out", str(tmp_path / "out"), "--save", str(save)]
+    assert cli.main(["calibrate", *words, "--json", "-"]) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["kind"] == "lidar-camera"  # and nothing else
+    assert "wrote" in captured.err
     assert cli.main(["calibrate", *words]) == 0
     result = json.loads((tmp_path / "out" / "calibration.json").read_text())
     assert len(result["frames"]) == 2
@@ -72,7 +77,12 @@ def test_a_camera_is_calibrated_and_written(tmp_path: Path, capsys: pytest.Captu
     assert sum(result["residual_after"]["histogram"]["counts"]) <= result["residual_after"]["edges"]
     assert (tmp_path / "out" / "before-after.png").stat().st_size > 100
     assert "cam-front" in json.loads(save.read_text())["cameras"]
-    assert "wrote" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "wrote" in text
+    assert re.search(r"parameter +value +change +sigma +verdict", text)
+    assert "residual: median" in text
+    assert re.search(r"^(keep|replace): ", text, re.MULTILINE)
+    assert "{" not in text
 
 
 def test_pairs_are_read_and_other_tables_refused(tmp_path: Path) -> None:

@@ -111,7 +111,7 @@ def test_full_disk_is_noticed_before_the_work(
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000})())
     assert main(["simulate", "cirrus-sim-mini", str(tmp_path / "out")]) == 1
-    assert "GB are free" in capsys.readouterr().err
+    assert "are needed, 1.00 kB are free" in capsys.readouterr().err
 
 
 def test_frozen_split_is_compared_with_its_record(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

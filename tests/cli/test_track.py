@@ -207,3 +207,38 @@ def test_a_killed_command_leaves_no_half_file_and_runs_again_to_the_same_bytes(t
     assert all(path.read_bytes() == wanted[path.name] for path in cut.glob("*.txt"))
     assert cli.main([*command, str(cut)]) == 0
     assert {path.name: path.read_bytes() for path in cut.glob("*.txt")} == wanted
+
+
+def few_frames(path: Path, frames: int, score: float = 0.7) -> Path:
+    """Five cars that stand, in so many frames."""
+    lines = ["frame,label,x,y,z,l,w,h,yaw_rad,score"]
+    lines += [f"{frame},car,{20 + 9 * car},0,0,4,2,1.5,0,{score}" for frame in range(frames) for car in range(5)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_few_frames_say_how_many_hits_a_track_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["track", str(few_frames(tmp_path / "found.csv", 4)), "--out", str(tmp_path / "tracks.csv")]
+    assert cli.main(words) == 0
+    text = capsys.readouterr().out
+    assert "20 of 20 detections are in no reported track: a track needs 3 hits (min_hits)" in text
+    assert "with scores below 0.9 5 hits (unsure_hits)" in text
+    assert "the shortest drive has 4 frames" in text
+    assert cli.main([*words, "-o", "min_hits=1", "-o", "unsure_hits=1"]) == 0
+    text = capsys.readouterr().out
+    assert "5 tracks, 20 boxes" in text
+    assert "hits" not in text
+
+
+@pytest.mark.parametrize("words", [["--preset", "ab3dmot"], ["--preset", "centerpoint"], ["--smooth"]])
+def test_every_preset_says_its_own_hits(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = few_frames(tmp_path / "found.csv", 2)
+    assert cli.main(["track", str(path), "--out", str(tmp_path / "tracks.csv"), *words]) == 0
+    text = capsys.readouterr().out
+    assert ("detections are in no reported track" in text) == ("0 tracks" in text)
+
+
+def test_long_drives_of_clear_tracks_need_no_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = few_frames(tmp_path / "found.csv", 30, score=0.95)
+    assert cli.main(["track", str(path), "--out", str(tmp_path / "tracks.csv")]) == 0
+    assert "hits" not in capsys.readouterr().out

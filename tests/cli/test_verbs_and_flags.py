@@ -45,13 +45,10 @@ OPENS = {
     "compare", "radar", "calibrate", "sync", "track", "anonymize", "report",
 }  # fmt: skip
 NO_COLUMNS = {
-    "view": "shows what the doctor has opened; the page says the columns",
-    "annotate": "as view",
-    "compare": "of two data sets: which of them would be meant?",
+    "compare": "of two data sets: --columns-a, --columns-b",
     "sync": "reads stamps",
     "track": "reads boxes",
     "anonymize": "reads pictures",
-    "report": "reads evaluations",
 }
 NO_CLOUDS = {
     "doctor": "looks at all clouds",
@@ -78,6 +75,8 @@ def lacking(flag: str, among: set[str]) -> set[str]:
         ("--dry-run", set(VERBS), NO_DRY_RUN),
         ("--out", set(VERBS), NO_OUT),
         ("--columns", OPENS, NO_COLUMNS),
+        ("--intensity-scale", OPENS, NO_COLUMNS),
+        ("--point-times", OPENS, NO_COLUMNS),
         ("--cloud", OPENS, NO_CLOUDS),
         ("--clouds", OPENS, NO_CLOUDS),
         ("--json", RESULTS, {}),

@@ -16,11 +16,12 @@ import bag_messages as rosbag
 
 from farfield import cli
 from farfield.datasets import open_dataset
-from farfield.datasets.bags.reader import cloud_of, offsets_ns
+from farfield.datasets.bags.reader import cloud_of
 from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError, MissingExtraError
 from farfield.files.bags import Bag
 from farfield.files.sensor_messages import read_points
 from farfield.frame import merge_clouds
+from farfield.frame.cloud import CloudSettings
 
 START, MS = rosbag.START, 1_000_000
 OUSTER = np.dtype(
@@ -153,18 +154,41 @@ def test_clouds_that_contradict_themselves_are_refused(rng: np.random.Generator)
 def test_columns_become_ours() -> None:
     columns = {name: np.array([1.0, np.nan, 3.0], np.float32) for name in "xyz"}
     columns["intensity"] = np.array([0, 5, 255], np.float32)
-    cloud = cloud_of(columns, "memory", limit=255.0, stamp_ns=START)
+    cloud = cloud_of(columns, "memory", CloudSettings(intensity_scale=255.0))
     assert cloud.intensity is not None
     assert cloud.intensity.tolist() == [0, 1]
-    with pytest.raises(ConfigError, match="intensity_max"):
-        cloud_of(columns, "memory", limit=1.0, stamp_ns=START)
+    with pytest.raises(FileFormatError, match="--intensity-scale 255"):
+        cloud_of(columns, "memory", CloudSettings(intensity_scale=1.0))
     with pytest.raises(FileFormatError, match="x, y, z"):
-        cloud_of({"x": columns["x"]}, "memory", limit=None, stamp_ns=START)
-    seconds = np.array([-0.1, 0.0], np.float32)
-    assert offsets_ns(seconds, START).tolist() == [-100000001, 0] or offsets_ns(seconds, START)[0] == -(10**8)
-    assert abs(offsets_ns(np.array([START / 1e9 + 0.05]), START)[0] - 50 * MS) < 300
-    assert offsets_ns(np.array([7], np.uint32), START).tolist() == [7]
-    assert offsets_ns(np.array([START + 9], np.uint64), START).tolist() == [9]
+        cloud_of({"x": columns["x"]}, "memory", CloudSettings())
+
+
+def test_point_times_of_every_unit(tmp_path: Path) -> None:
+    """Two sweeps whose points' times are milliseconds in float32, once beside a no-return that has none."""
+    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
+    table = np.zeros(50, dtype)
+    table["x"], table["time"] = 5, np.linspace(0, 100, 50)
+    table["x"][0], table["time"][0] = np.nan, -1e9
+    rows = [("/points", START + k * 100 * MS, rosbag.cloud(table, START + k * 100 * MS, "lidar")) for k in range(3)]
+    path = rosbag.write_bag(tmp_path / "drive", rows, mcap=True)
+    offsets = open_dataset(path)[1].cloud().extra["offset_ns"]
+    np.testing.assert_allclose(offsets, table["time"][1:] * MS, atol=10)
+    kept = open_dataset(path, point_times="none")[1].cloud()
+    assert list(kept.extra) == ["time"]
+
+
+def test_an_intensity_that_grows_is_read_on_one_scale(tmp_path: Path) -> None:
+    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("Reflectivity", "<f4")])
+    rows = []
+    for k, largest in enumerate((0.9, 100.0, 200.0)):
+        table = np.zeros(50, dtype)
+        table["x"], table["Reflectivity"] = 5, np.linspace(0, largest, 50)
+        rows.append(("/points", START + k * 100 * MS, rosbag.cloud(table, START + k * 100 * MS, "lidar")))
+    path = rosbag.write_bag(tmp_path / "drive", rows, mcap=True)
+    largest = [frame.cloud().column("intensity").max() for frame in open_dataset(path)]
+    np.testing.assert_allclose(largest, np.array([0.9, 100, 200]) / 255, rtol=1e-5)
+    with pytest.raises(FileFormatError, match="--intensity-scale 200"):
+        open_dataset(path, intensity_scale=100)[2].cloud()
 
 
 def test_images_of_other_encodings(rng: np.random.Generator) -> None:

@@ -26,13 +26,14 @@ READERS = (
     *("kitti calib", "kitti label", "kitti tracking"),
     *("kitti detections", "boxes csv", "cirrus json"),
     *("openlabel", "sustechpoints", "datumaro", "supervisely", "tracklets"),
-    *("mat", "mat in blocks", "npy", "kradar sparse npy"),
+    *("mat", "mat in blocks", "npy"),
     *("kradar labels", "kradar times", "kradar description", "kradar calib", "kradar camera", "kradar odometry"),
     *("kradar gt_rel", "kradar gps", "kradar imu", "kradar local", "kradar split", "kradar record", "radar cells"),
     *("radar cells sealed", "delft poses", "delft labels", "astyx points", "astyx objects", "astyx sensors"),
     *("radiate times", "radiate tracks", "stamps", "clock logs"),
     *(("films",) if importlib.util.find_spec("av") else ()),
     *(("bag.mcap", "bag.db3") if importlib.util.find_spec("rosbags") else ()),
+    *("cloud pcd", "cloud ffcloud", "cloud npy", "cloud rows npy", "kradar lidar pcd", "kradar sparse npy"),
     *(WEIGHTS if importlib.util.find_spec("torch") else ()),
 )
 

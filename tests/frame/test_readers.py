@@ -137,8 +137,9 @@ def test_where_nobody_annotated_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("axes", [2, 3])
 def test_velocities_that_do_not_turn_with_the_frame_are_found(monkeypatch: pytest.MonkeyPatch, axes: int) -> None:
-    boxes = Boxes(centre_m=np.ones((2, 3)), size_m=np.ones((2, 3)), yaw_rad=np.ones(2), velocity_m_s=np.ones((2, axes)))
-    boxes.velocity_m_s[1] = np.nan
+    velocity_m_s = np.ones((2, axes))
+    velocity_m_s[1] = np.nan
+    boxes = Boxes(centre_m=np.ones((2, 3)), size_m=np.ones((2, 3)), yaw_rad=np.ones(2), velocity_m_s=velocity_m_s)
     frame = Frame(sequence="s", frame_id="1", load_annotation=Constant(Annotation(boxes=boxes)))
     check_frame(frame)
     turn = Boxes.transform

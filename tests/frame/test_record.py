@@ -228,3 +228,12 @@ def test_the_kind_of_a_cloud_from_memory_is_that_of_its_columns() -> None:
 def test_times_of_sensors_fall_back_on_the_frames() -> None:
     frame = Frame(sequence="s", frame_id="1", time_ns=5, sensors={"a": Sensor(kind="lidar", time_ns=7)})
     assert (frame.time_ns_of("a"), frame.time_ns_of("b")) == (7, 5)
+
+
+def test_offsets_of_points_are_nanoseconds_or_refused() -> None:
+    points = np.zeros((2, 3), np.float32)
+    assert Cloud(points).offsets_s() is None
+    assert Cloud(points, extra={"offset_ns": np.array([0, 10**8])}).offsets_s().tolist() == [0, 0.1]
+    for wrong in (np.array([0.0, 1.7e18]), np.array([0.0, np.nan]), np.array([0, 2**64 - 1], np.uint64)):
+        with pytest.raises(ConfigError, match="--point-times"):
+            Cloud(points, extra={"time_ns": wrong}).offsets_s()

@@ -43,10 +43,18 @@ def evaluate(
     return result
 
 
+def _nearest(part: Boxes) -> list[int]:
+    """The nearer box first, then that of the least x, y, z, l, w, h, yaw, class."""
+    rows = [[*map(float, row), str(name)] for row, name in zip(part.to_numpy(), part.label, strict=True)]
+    return sorted(range(len(rows)), key=lambda i: [float(np.hypot(*rows[i][:2])), *rows[i]])
+
+
 def _collect(predictions: ByFrame, annotations: ByFrame, keys: list, s: CentreSettings) -> tuple[list, list]:
     found, real = [], []
     for frame, key in enumerate(keys):
         part, marks = predictions.get(key), annotations[key]
+        if s.ties == "nearest_first":
+            part, marks = None if part is None else part[_nearest(part)], marks[_nearest(marks)]
         rows = [] if part is None else sorted(range(len(part)), key=lambda i: (-part.score[i], i))[: s.max_boxes]
         for i in sorted(rows):
             if s.relabel.get(str(part.label[i]), str(part.label[i])) == s.label and _inside(part.centre_m[i], s):

@@ -58,7 +58,7 @@ def test_classes_count_where_empty_frames_are_dropped() -> None:
 def test_a_variant_is_of_its_family_and_differs_from_it() -> None:
     a, b = result(protocol="kradar"), result(protocol="kradar-compat:revised_yaw_fixed")
     assert protocol_family(a) == protocol_family(b) == "kradar"
-    expected = {"recall_points", "empty_frames", "outside", "decimals", "sampling", "classes", "range_bins_m"}
+    expected = {"recall_points", "empty_frames", "outside", "decimals", "sampling", "order", "classes", "range_bins_m"}
     assert set(differing_settings(a, b)) == expected - {"range_bins_m"}
     assert "recall_points=41" in convention_text(b)
     assert convention_text(b).startswith("kradar-compat:revised_yaw_fixed: label_version=")

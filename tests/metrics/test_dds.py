@@ -37,6 +37,7 @@ OPTIONS = [
     {"min_points": 2},
     {"max_boxes": 3},
     {"ties": "later_first"},
+    {"ties": "stable"},
     {"thresholds_m": (0.25, 2.0, 8.0)},
 ]
 

@@ -30,6 +30,9 @@ def detections(rng: np.random.Generator, **rest: Any) -> Detections:
     )
 
 
+SAME = "predictions and labels are the same boxes: is one file given for both?"
+
+
 def test_a_score_is_the_evaluators(rng: np.random.Generator) -> None:
     found = detections(rng)
     tree = found.score("dds", epsilons=(0.0, 0.01)).to_json()
@@ -88,7 +91,7 @@ def test_frames_without_annotation_do_not_count(rng: np.random.Generator) -> Non
     result = part.score(bootstrap=NO_BOOTSTRAP)
     cut = {key: found.boxes[key] for key in keys[:7]}
     assert result.figures == part.replaced(cut).score(bootstrap=NO_BOOTSTRAP).figures
-    assert result.notes == ("5 of 12 frames are not annotated and do not count",)
+    assert result.notes[0] == "5 of 12 frames are not annotated and do not count"
     missing = part.replaced({key: found.boxes[key] for key in keys[:3]})
     assert missing.score(bootstrap=NO_BOOTSTRAP).counts["frames_given"] == 7
     with pytest.raises(ConfigError, match="none in common"):
@@ -105,7 +108,8 @@ def test_bins_beyond_the_reach_are_null_with_the_reason() -> None:
     tree = result.to_json()
     assert tree["ranges"]["150-250"] is None
     assert tree["ranges"]["50-100"] is not None
-    assert [note.partition(" m ")[0] for note in tree["notes"]] == ["range 150-250", "range 50-100"]
+    assert [note.partition(" m ")[0] for note in tree["notes"][:2]] == ["range 150-250", "range 50-100"]
+    assert tree["notes"][2:] == ["all 12 predictions have one score, 1: without an order a curve has a single point"]
     assert "beyond the detector's reach of 80 m" in tree["notes"][0]
     assert tree["mean_of_bins"]["dds"]["0"]["map"] == np.mean(
         [tree["ranges"][name]["dds"]["0"]["map"] for name in ("0-50", "50-100")]
@@ -116,7 +120,7 @@ def test_bins_beyond_the_reach_are_null_with_the_reason() -> None:
     far = replace(found, reach_m=None)
     far = far.score("dds", range_bins_m=(0.0, 50.0, 100.0, 150.0, 250.0), bootstrap=NO_BOOTSTRAP).to_json()
     assert far["ranges"]["150-250"]["dds"]["0"]["map"] == 0.0
-    assert "notes" not in far
+    assert "notes" not in far or not any("reach" in note for note in far["notes"])
     for protocol in ("nuscenes", "kitti", "kradar"):
         result = found.score(protocol, range_bins_m=(0.0, 70.0, 85.0, 250.0), bootstrap=NO_BOOTSTRAP, region="none")
         assert result.to_json()["ranges"]["85-250"] is None
@@ -131,7 +135,7 @@ def test_visibility_is_used_where_it_is_known() -> None:
     )
     whole = found.score("kradar", bootstrap=NO_BOOTSTRAP)
     assert whole.to_json()["visibility"]["R"]["ap"]["vehicle"]["3d"]["0.3"] == 1.0
-    assert not whole.notes
+    assert whole.notes[-1] == SAME
     odd = {**annotations, ("1", "0"): Annotation(boxes=marked), ("1", "99"): Annotation(boxes=Boxes.empty())}
     result = replace(found, annotations=odd).score("kradar", bootstrap=NO_BOOTSTRAP)
     assert result.counts["visibility"]["R"]["annotated"] == 40
@@ -179,7 +183,7 @@ def test_kitti_takes_the_facts_of_the_image_and_says_where_there_are_none() -> N
     predictions = {("s", "0"): marked.replace(score=np.ones(2))}
     result = score(predictions, {("s", "0"): known}, protocol="kitti")
     assert set(result.to_json()["ap"]["3d_r40"]) == {"easy", "moderate", "hard"}
-    assert not result.notes
+    assert result.notes == (SAME,)
     plain = score(predictions, {("s", "0"): marked}, protocol="kitti")
     assert set(plain.to_json()["ap"]["3d_r40"]) == {"all"}
     assert "one difficulty" in plain.to_json()["notes"][0]

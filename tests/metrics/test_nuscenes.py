@@ -1,5 +1,7 @@
 """The nuScenes protocol against the devkit's own figures and a slow oracle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from .scenes import NO_BOOTSTRAP, as_predictions, boxes, car, random_scene
 
 def test_equals_the_devkit_on_real_detections(real_detections) -> None:
     detections, expected = real_detections
-    settings = NuScenesSettings(label="Car", bootstrap=NO_BOOTSTRAP)
+    settings = NuScenesSettings(label="Car", ties="later_first", bootstrap=NO_BOOTSTRAP)
     tree = evaluate_nuscenes(detections.boxes, detections.annotated, settings).to_json()
     assert tree["ap"] == pytest.approx(expected["ap"], abs=1e-9)
     for name in ("trans_err", "scale_err", "orient_err"):
@@ -19,20 +21,23 @@ def test_equals_the_devkit_on_real_detections(real_detections) -> None:
     assert (tree["counts"]["frames"], tree["counts"]["annotated"]) == (expected["frames"], expected["annotated"])
 
 
-def test_equals_the_plain_evaluation_with_ties(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("ties", ["nearest_first", "stable", "later_first"])
+def test_equals_the_plain_evaluation_with_ties(rng: np.random.Generator, ties: str) -> None:
     for _ in range(2):
         predictions, annotations = random_scene(rng)
-        settings = NuScenesSettings(label="vehicle", bootstrap=NO_BOOTSTRAP)
+        settings = NuScenesSettings(label="vehicle", ties=ties, bootstrap=NO_BOOTSTRAP)
         result = evaluate_nuscenes(predictions, annotations, settings)
         expected = reference.evaluate(predictions, annotations, settings)["0"]
         assert [result.figures[f"ap/{t}"] for t in settings.thresholds_m] == pytest.approx(expected["ap"], abs=1e-12)
 
 
-def test_of_equal_scores_the_later_prediction_comes_first() -> None:
+def test_of_equal_scores_the_nearer_or_the_later_prediction_comes_first() -> None:
     annotated = {("s", "0"): boxes([car(10)], scored=False)}
     predicted = {("s", "0"): boxes([car(10, score=0.5), car(11, score=0.5)])}
-    result = evaluate_nuscenes(predicted, annotated, NuScenesSettings(label="vehicle", bootstrap=NO_BOOTSTRAP))
+    settings = NuScenesSettings(label="vehicle", bootstrap=NO_BOOTSTRAP)
+    result = evaluate_nuscenes(predicted, annotated, replace(settings, ties="later_first"))
     assert result.figures["errors/trans_err"] == pytest.approx(1.0)  # the second one, a metre away, took the box
+    assert evaluate_nuscenes(predicted, annotated, settings).figures["errors/trans_err"] == pytest.approx(0.0)
 
 
 def test_errors_of_a_worked_pair() -> None:
@@ -64,7 +69,7 @@ def test_no_aligned_overlap_and_a_table(rng: np.random.Generator) -> None:
     settings = NuScenesSettings(label="vehicle", bootstrap=Bootstrap(replicates=10))
     result = evaluate_nuscenes(*random_scene(rng), settings)
     assert result.to_json()["dds"] == {}
-    for shown in ("AP at 0.5 m", "trans_err", "ties=later_first", "distance=bev", "annotated"):
+    for shown in ("AP at 0.5 m", "trans_err", "ties=nearest_first", "distance=bev", "annotated"):
         assert shown in str(result)
 
 

@@ -6,7 +6,7 @@ import pytest
 from farfield.frame import Boxes
 from farfield.metrics.bootstrap import Bootstrap
 from farfield.metrics.centre.dds import DdsSettings, evaluate_dds
-from farfield.metrics.centre.evaluation import object_intervals
+from farfield.metrics.centre.objects import object_intervals
 
 DRAWN = Bootstrap(replicates=1_000)
 SETTINGS = DdsSettings(label="vehicle", region="none", epsilons=(0.0,), bootstrap=DRAWN)

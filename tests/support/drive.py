@@ -56,7 +56,7 @@ def frame(number: int, *, sequence: str = "1", lead: int = 32, weather: str = "l
         "frame_id": str(number),
         "time_ns": time_ns,
         "clouds": {"os2-64": cloud(rng, 64, 512, 900), "os1-128": cloud(rng, 128, 512, 1500, -50_000_000)},
-        "radar": {"sparse": rng.normal(0, 30, (50, 4))},
+        "radar": {"sparse": np.abs(rng.normal(0, 30, (50, 4)))},
         "images": {
             name: rng.integers(0, 256, (36, 64, 3), dtype=np.uint8) for name in ("cam-front", "cam-front-right")
         },

@@ -67,7 +67,7 @@ def objects_of(
         torch.from_numpy(descriptors(objects, extent)).float().to(device),
         torch.from_numpy(kind).to(device),
         torch.from_numpy(np.hypot(*objects.centre_m[:, :2].T)).float().to(device),
-        torch.from_numpy(points).to(device),
+        torch.tensor(points, device=device),
     )
 
 

@@ -30,6 +30,8 @@ _FOCAL = Parameter(name="focal length", unit="", scale=0.002, prior_sigma=0.3)
 _FOCAL_FACTORS = (0.6, 0.75, 0.9, 1.0, 1.15, 1.35, 1.7)
 _WIDE = 30  # times the prior of a camera that is aligned by edges
 _SPREAD = 0.2  # of the picture, and of the distance: picks nearer to one another tell little
+_FARTHEST_M, _WIDEST_PX = 1e4, 1e6
+_LINE = 1e-3  # share of their length that picks stand beside a line: less is no width
 _MAX_BYTES = 1 << 20
 _HEADER = "x_m,y_m,z_m,u_px,v_px"
 
@@ -71,12 +73,14 @@ def calibrate_pairs(
         from_nothing: Begin with RANSAC over PnP (SQPnP), whatever the camera's pose.
 
     Raises:
-        ConfigError: If there are too few pairs, or no pose explains six of them.
+        ConfigError: If there are too few pairs, they are no measurements of one scene, or no pose explains six of them.
         MissingExtraError: If OpenCV is not there.
     """
     least = PAIRS_FOR_FOCAL if focal else LEAST_PAIRS
     if len(points_m) < least or len(points_m) != len(pixels):
         raise ConfigError(f"pairs: expected {least} points with a pixel each, got {len(points_m)} and {len(pixels)}")
+
+    _check_spread(points_m, pixels)
 
     # 1. The start: the pose of PnP with most inliers.
     start, inlier = camera, np.ones(len(points_m), dtype=bool)
@@ -90,6 +94,27 @@ def calibrate_pairs(
     solution = solve(residuals, np.zeros(len(parameters)), parameters, huber=_HUBER)
     solved = adjust_camera(start, solution.value)
     return PairCalibration(camera=solved, solution=solution, residual_px=solution.after * sigma_px, inlier=inlier)
+
+
+def _check_spread(points_m: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, "n 2"]) -> None:
+    """Refuse picks that no camera can be told from: not finite, beyond all sensors, too few, on one spot or line."""
+    for values, most, what in ((points_m, _FARTHEST_M, "points in metres"), (pixels, _WIDEST_PX, "pixels")):
+        off = np.flatnonzero(~(np.abs(values) < most).all(axis=1))
+        if len(off):
+            raise ConfigError(
+                f"pairs: expected {what}, finite and below {most:g}; pair {off[0] + 1} has {values[off[0]].tolist()}"
+            )
+        number = len(np.unique(values, axis=0))
+        if number < LEAST_PAIRS:
+            raise ConfigError(
+                f"pairs: expected {LEAST_PAIRS} different {what}, got {number} in {len(values)} pairs. Pick others."
+            )
+        singular = np.linalg.svd(values - values.mean(axis=0), compute_uv=False)
+        if singular[1] < _LINE * singular[0]:
+            raise ConfigError(
+                f"pairs: expected {what} that do not stand on one line; beside it they reach {singular[1]:.3g}, along "
+                f"it {singular[0]:.3g}. Pick some beside it."
+            )
 
 
 def adjust_camera(camera: Camera, value: Float[np.ndarray, " k"]) -> Camera:
@@ -137,16 +162,21 @@ def _best_start(
 def _ransac(points_m: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, "n 2"], camera: Camera) -> _Start | None:
     import cv2
 
-    solved, turn, shift, rows = cv2.solvePnPRansac(
-        np.ascontiguousarray(points_m, float),
-        np.ascontiguousarray(pixels, float),
-        camera.matrix,
-        camera.distortion,
-        reprojectionError=_REPROJECTION_PX,
-        iterationsCount=500,
-        flags=cv2.SOLVEPNP_SQPNP,
-    )
+    try:
+        solved, turn, shift, rows = cv2.solvePnPRansac(
+            np.ascontiguousarray(points_m, float),
+            np.ascontiguousarray(pixels, float),
+            camera.matrix,
+            camera.distortion,
+            reprojectionError=_REPROJECTION_PX,
+            iterationsCount=500,
+            flags=cv2.SOLVEPNP_SQPNP,
+        )
+    except cv2.error:  # a draw without a unique pose, such as one of equal points, ends OpenCV's search
+        return None
     if not solved or rows is None or len(rows) < LEAST_PAIRS:
+        return None
+    if not (np.isfinite(turn).all() and np.isfinite(shift).all()):
         return None
     rotation = cv2.Rodrigues(turn)[0]
     inlier = np.zeros(len(points_m), dtype=bool)

@@ -23,7 +23,6 @@ _BIN_DEG = 0.42
 _NEAREST_M, _FARTHEST_M = 2.0, 60.0
 _RING_GAP_RAD, _COLUMN_GAP_RAD = np.radians(0.6), np.radians(1.2)  # between neighbours on a ring, and on a column
 _COLUMN_RAD = np.radians(0.18)
-_TIME_COLUMNS = ("offset_ns", "time_ns")  # since the frame's time
 _NEIGHBOUR_NS = 300_000_000
 
 
@@ -147,10 +146,10 @@ def deskew_to(
     cloud: Cloud, track: PoseTrack | None, frame: Frame, moment_ns: int | None
 ) -> Float[np.ndarray, "n 3"] | None:
     """The points of a frame's cloud as they stood at a moment, shape (n, 3); None where times or poses lack."""
-    column = next((name for name in _TIME_COLUMNS if name in cloud.extra), None)
-    if column is None or track is None or frame.time_ns is None or moment_ns is None:
+    offsets_s = cloud.offsets_s()
+    if offsets_s is None or track is None or frame.time_ns is None or moment_ns is None:
         return None
     if not track.covers(np.array([moment_ns], dtype=np.int64)).all():
         return None
-    times = frame.time_ns + cloud.extra[column].astype(np.int64)
+    times = frame.time_ns + np.rint(offsets_s * 1e9).astype(np.int64)
     return deskew(cloud.points_m.astype(np.float64), times, track, reference_ns=moment_ns).points_m

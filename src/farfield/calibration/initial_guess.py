@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.calibration import read_calibration
+from farfield.datasets.calibration import read_intrinsics
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES, Camera
@@ -71,7 +71,7 @@ class InitialGuess:
         if camera_T_lidar is None:
             camera_T_lidar = camera_at(np.zeros(3), yaw_rad=0.0) if stored is None else stored.camera_T_lidar
         if self.intrinsics is not None:
-            cameras = read_calibration(self.intrinsics)
+            cameras = read_intrinsics(self.intrinsics)
             camera = cameras.get(name) or next(iter(cameras.values()))
             if camera.width_px and (camera.width_px, camera.height_px) != picture[1::-1]:
                 size = f"{camera.width_px} x {camera.height_px}"

@@ -12,7 +12,7 @@ one (Liang and Zeger, Biometrika 1986, eq. 7). :func:`solve` is the algorithm; :
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,6 +27,7 @@ _ROUNDS, _CONVERGED = 20, 1e-3  # of the reweighting; steps of ``scale``
 _NAMED = 0.35  # share of a direction from which a parameter is named
 _UNITS = {"rad": ("deg", 180 / np.pi), "m": ("cm", 100.0), "s": ("ms", 1000.0), "px": ("px", 1.0), "": ("", 1.0)}
 
+T = TypeVar("T")
 ResidualFunction = Callable[[Float[np.ndarray, " k"]], Float[np.ndarray, "n d"]]
 """From values, shape (k,), to n residuals of d components, divided by their sigma."""
 Progress = Callable[[float], None]
@@ -137,7 +138,7 @@ def solve(
     weight, converged = counts * _huber_weights(residuals(start + x * scale), huber), False
     for _ in range(_ROUNDS):
         # 3. A step under these weights.
-        stepped, finished = problem.step(x, weight, steps)
+        stepped, finished = _solved(problem.step, x, weight, steps)
         change, x = float(np.abs(stepped - x).max()), stepped
 
         # 4. New weights, until the steps are small.
@@ -186,8 +187,10 @@ def appraise(
     block = np.arange(len(rows)) if group is None else group
     freedom = max(float(counts.sum()) * rows.shape[1] - len(prior), 1.0)
     chi2 = max(float((weight[:, None] * rows**2).sum()) / freedom, 1e-12)  # a degree of freedom
-    covariance, fisher = _robust_covariance(jacobian, rows, weight, prior, block, chi2)
-    sentences, information = unobserved_directions(fisher / chi2, parameters)
+    covariance, fisher = _solved(_robust_covariance, jacobian, rows, weight, prior, block, chi2)
+    sentences, information = _solved(unobserved_directions, fisher / chi2, parameters)
+    if not (np.isfinite(value).all() and np.isfinite(covariance).all() and (np.diag(covariance) >= 0).all()):
+        raise ConfigError(_UNDETERMINED)
     length = np.linalg.norm(rows, axis=1)
     return Solution(
         parameters=tuple(parameters),
@@ -199,6 +202,24 @@ def appraise(
         converged=False,
         information=information,
     )
+
+
+_UNDETERMINED = (
+    "calibration: expected measurements that determine the solution, got residuals without finite, independent slopes. "
+    "Check the picks, their order and their units, or give a nearer start."
+)
+
+
+def _solved(step: Callable[..., T], *arguments: Any) -> T:
+    """What a step of linear algebra gives.
+
+    Raises:
+        ConfigError: If its matrix is singular or holds what is not finite.
+    """
+    try:
+        return step(*arguments)
+    except (np.linalg.LinAlgError, ValueError) as error:  # scipy refuses what is not finite with a ValueError
+        raise ConfigError(_UNDETERMINED) from error
 
 
 def consider_covariance(

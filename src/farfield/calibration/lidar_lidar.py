@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from farfield.calibration.least_squares import Parameter, Solution, rigid_motion, solve
+from farfield.calibration.least_squares import Parameter, Solution, motion_vector, rigid_motion, solve
 from farfield.errors import DatasetError
-from farfield.geometry.poses import transform_points
+from farfield.geometry.poses import invert, transform_points
 
 _VOXEL_M = 0.25
 _NEIGHBOURS = 10
@@ -46,12 +46,14 @@ class Registration:
         solution: Turns about and shifts along the first's axes from the last step, with sigma.
         rms_m: Root mean square distance from the planes.
         pairs: Points that had a plane within the last gate.
+        start: What it began from, shape (4, 4); None where nothing was known.
     """
 
     target_T_source: Float[np.ndarray, "4 4"]
     solution: Solution
     rms_m: float
     pairs: int
+    start: Float[np.ndarray, "4 4"] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Pose, sigma, residual and what is not observed."""
@@ -61,8 +63,15 @@ class Registration:
             "rms_cm": 100 * self.rms_m,
             "pairs": self.pairs,
             "notes": list(self.solution.unobserved),
+            **({} if self.start is None else {"change": self._change(self.start)}),
             **self.solution.to_json(),
         }
+
+    def _change(self, start: Float[np.ndarray, "4 4"]) -> dict[str, float]:
+        """Turns in degrees and shifts in centimetres from the start, by the names of the parameters."""
+        vector = motion_vector(self.target_T_source @ invert(start)) * ([180 / np.pi] * 3 + [100.0] * 3)
+        names = [f"{parameter.name}_{'deg' if parameter.unit == 'rad' else 'cm'}" for parameter in PARAMETERS]
+        return dict(zip(names, vector.tolist(), strict=True))
 
 
 def register(
@@ -112,7 +121,7 @@ def register(
             break
     assert solution is not None
     rms = float(np.sqrt(np.mean((solution.after * _SIGMA_M) ** 2)))
-    return Registration(target_T_source=target_T_source, solution=solution, rms_m=rms, pairs=pairs)
+    return Registration(target_T_source=target_T_source, solution=solution, rms_m=rms, pairs=pairs, start=start)
 
 
 def _plane_distances(

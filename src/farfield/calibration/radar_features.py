@@ -76,7 +76,8 @@ def _sensor_pair(frame: Frame, number: int, lidar: str, radar: str, node_m: floa
         raise DatasetError(f"frame {frame.key}: expected power or rcs_dbsm in the cloud {radar}, got {echoes.columns}")
     points = cloud.points_m.astype(np.float64)
     inside = (points[:, 0] > 1.0) & (np.abs(points[:, 1]) < 40.0) & (points[:, 0] < _REACH_M + 4.0)
-    lag = cloud.extra["time_ns"][inside] * 1e-9 if "time_ns" in cloud.extra else np.zeros(int(inside.sum()))
+    offsets_s = cloud.offsets_s()
+    lag = np.zeros(int(inside.sum())) if offsets_s is None else offsets_s[inside]
     points = points[inside]
     height = above_ground_m(points)
     standing = (height > 0.3) & (height < 3.0)

@@ -19,10 +19,60 @@ if TYPE_CHECKING:
 
 _UNNAMED = tyro.conf.arg(name="")
 """The fields of a group are flags without the group's name before them."""
+PointTimes = Literal["auto", "s", "ms", "us", "ns", "none"]  # as in farfield.files.point_times, which waits
+_UNSET = (None, (), "", "auto")
+_OPTION_OF = {"columns": "bin_columns"}
+_OF_CLOUDS = ("bin_columns", "intensity_scale", "point_times", "radars")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReadingFlags:
+class FileFlags:
+    """How a data set's files are read, where they do not say it and their numbers do not show it.
+
+    Args:
+        mapping: Mapping YAML of the classes of data in any format, classes: {Auto: vehicle}; or of a Cirrus copy that
+            deviates from the documented layout.
+        columns: Columns of .bin files; what the numbers themselves show unless given.
+        intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
+            given.
+        point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
+        radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
+        tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
+            beside the file, the writer's marks and the points in the boxes unless given.
+        label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
+            LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre).
+    """
+
+    mapping: Path | None = None
+    columns: int | None = None
+    intensity_scale: float | None = None
+    point_times: PointTimes = "auto"
+    radars: tuple[str, ...] = ()
+    tracklets: Literal["kitti", "cvat", "datumaro"] | None = None
+    label_axes: Literal["camera", "lidar", "lidar-bottom"] | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What :func:`farfield.open_dataset` takes of the flags that are set."""
+        return {_OPTION_OF.get(name, name): value for name, value in vars(self).items() if value not in _UNSET}
+
+    @property
+    def cloud_options(self) -> dict[str, Any]:
+        """Those of cloud files, as any reader of such takes them."""
+        return {name: value for name, value in self.options.items() if name in _OF_CLOUDS}
+
+    def open(self, path: Path, **options: Any) -> "Dataset":
+        """Open a data set; what its reader left out is a warning, what it assumed a note.
+
+        Args:
+            path: Its folder.
+            **options: Those of :func:`farfield.open_dataset`, left out where empty.
+        """
+        return _opened(path, self.options | {name: value for name, value in options.items() if value})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingFlags(FileFlags):
     """How a data set's files are read.
 
     Args:
@@ -31,60 +81,38 @@ class ReadingFlags:
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         columns: Columns of .bin files; what the numbers themselves show unless given.
+        intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
+            given.
+        point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
+        radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
         tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
             beside the file, the writer's marks and the points in the boxes unless given.
         label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
             LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre).
     """
 
-    mapping: Path | None = None
     labels: str | None = None
     roots: tuple[Path, ...] = ()
-    columns: int | None = None
-    tracklets: Literal["kitti", "cvat", "datumaro"] | None = None
-    label_axes: Literal["camera", "lidar", "lidar-bottom"] | None = None
 
-    @property
-    def options(self) -> dict[str, Any]:
-        """What :func:`farfield.open_dataset` takes of the flags that are set."""
-        return {_OPTION_OF.get(name, name): value for name, value in vars(self).items() if value}
-
-    def open(self, path: Path, **options: Any) -> "Dataset":
-        """Open a data set and say what its reader assumed.
-
-        Args:
-            path: Its folder.
-            **options: Those of :func:`farfield.open_dataset`, left out where empty.
-        """
-        from farfield.datasets import open_dataset
-
-        further = {name: value for name, value in options.items() if value}
-        data = open_dataset(path, **{**self.options, **further})
-        for sentence in _assumptions(data):
-            print(f"note: {sentence}", file=sys.stderr)
-        return data
-
-    def open_both(self, paths: Sequence[Path], mappings: Sequence[Path | None]) -> "list[Dataset]":
+    def open_both(self, paths: Sequence[Path], sides: "Sequence[ReadingFlags]") -> "list[Dataset]":
         """Open data sets that are set side by side: a flag that one reader does not know counts for the others.
 
         Args:
             paths: Their folders.
-            mappings: The mapping of each alone.
+            sides: The flags of each alone, which win.
 
         Raises:
             ConfigError: If no reader knows a flag.
         """
         from farfield.datasets.formats import known_options
 
-        own_options = [known_options(path, self.options) for path in paths]
-        strange = [name for name in self.options if not any(name in names for names in own_options)]
-        if strange:
+        known_by_path = [known_options(path, self.options) for path in paths]
+        if any(all(name not in names for names in known_by_path) for name in self.options):
             self.open(paths[0])  # its error names what the reader knows
-        opened = []
-        for path, mapping, names in zip(paths, mappings, own_options, strict=True):
-            flags = {name: value for name, value in vars(self).items() if _OPTION_OF.get(name, name) in names}
-            opened.append(ReadingFlags(**flags).open(path, mapping=mapping))
-        return opened
+        return [
+            _opened(path, {name: value for name, value in self.options.items() if name in names} | side.options)
+            for path, side, names in zip(paths, sides, known_by_path, strict=True)
+        ]
 
     def check_unused(self, what: str) -> None:
         """Refuse flags that would read nothing.
@@ -95,12 +123,20 @@ class ReadingFlags:
         Raises:
             ConfigError: If one is set.
         """
-        if self.options:
-            flag = next(name for name, value in vars(self).items() if value).replace("_", "-")
+        flag = next((name.replace("_", "-") for name, value in vars(self).items() if value not in _UNSET), None)
+        if flag is not None:
             raise ConfigError(f"--{flag}: expected {what}, whose files it says how to read")
 
 
-_OPTION_OF = {"columns": "bin_columns"}
+def _opened(path: Path, options: Mapping[str, Any]) -> "Dataset":
+    from farfield.datasets import open_dataset
+
+    data = open_dataset(path, **options)
+    for sentence in data.unwrapped.notes:
+        print(f"warning: {sentence}", file=sys.stderr)
+    for sentence in _assumptions(data):
+        print(f"note: {sentence}", file=sys.stderr)
+    return data
 
 
 def _assumptions(data: "Dataset") -> tuple[str, ...]:
@@ -189,8 +225,9 @@ class ScoringFlags:
         least_track_score: For tracking: tracks whose mean score is lower are left out.
         label_version: For kradar: the annotation's version, which stands beside the result; the data set's own unless
             given.
-        options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle, for
-            kradar boxes_in=os2-64 classes=vehicle,pedestrian score_cut=0.3.
+        options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle
+            (added to the protocol's own; relabel= alone is none), for kradar boxes_in=os2-64
+            classes=vehicle,pedestrian score_cut=0.3.
         replicates: Bootstrap replicates of the 95 % intervals; 0 for none.
         seed: Seed of the bootstrap.
     """
@@ -232,11 +269,13 @@ class ScoringFlags:
 
 
 Reading = Annotated[ReadingFlags, _UNNAMED]
+Files = Annotated[FileFlags, _UNNAMED]
 Jobs = Annotated[JobFlags, _UNNAMED]
 ShownBoxes = Annotated[BoxFlags, _UNNAMED]
 Scoring = Annotated[ScoringFlags, _UNNAMED]
 
 AS_THEY_ARE = ReadingFlags()
+AS_FILES_SAY = FileFlags()
 ALL_CORES = JobFlags()
 OWN_BOXES = BoxFlags()
 OWN_SCORING = ScoringFlags()

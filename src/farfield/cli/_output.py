@@ -51,6 +51,19 @@ def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T
         yield from progress.track(listed, total=len(listed), description=what)
 
 
+def print_doubts(data: "Dataset", cloud: str | None = None) -> None:
+    """Warn where a data set's axes or units seem to be others than ours, as ``farfield doctor`` does.
+
+    Args:
+        data: The data set, as the detector is to see it.
+        cloud: Which of its clouds; the first of a LiDAR unless given.
+    """
+    from farfield.inspection.axes_and_units import first_doubts
+
+    for doubt in first_doubts(data, cloud=cloud):
+        print(f"warning: {doubt}", file=sys.stderr)
+
+
 def would_write(what: str, where: Path | str, much: str = "") -> None:
     """Print it.
 
@@ -62,13 +75,10 @@ def would_write(what: str, where: Path | str, much: str = "") -> None:
     print(f"would write {what} to {where}{', ' + much if much else ''}; nothing is written now")
 
 
-def sized(count: int) -> str:
-    """Bytes in GB, small numbers of them in MB."""
-    return f"{count / 1e9:.2f} GB" if count >= 1e8 else f"{count / 1e6:.2f} MB"
-
-
 def from_files(paths: Iterable[Path]) -> str:
     """How much the files hold that something is made of."""
+    from farfield.files.sizes import sized
+
     total = 0
     for path in set(paths):
         with suppress(OSError):  # an absent one is said when it is read

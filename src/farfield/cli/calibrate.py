@@ -1,7 +1,8 @@
 """``farfield calibrate``: where a sensor stands against the LiDAR, and a camera's intrinsics, with residuals."""
 
-import json
+import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,11 +20,12 @@ from farfield.calibration.saving import (
     save_radar_where_read,
 )
 from farfield.calibration.solving import CalibrationKind, CalibrationOptions, pictured_camera, solve
-from farfield.cli._flags import AS_THEY_ARE, Reading
+from farfield.cli._flags import AS_THEY_ARE, Reading, ReadingFlags
+from farfield.cli._output import OUTPUT, write_json
 from farfield.errors import ConfigError
+from farfield.figures.calibration_table import calibration_text
 from farfield.figures.camera import boxes_picture
 from farfield.figures.rig import camera_calibration_picture, radar_calibration_picture
-from farfield.files.atomic import write_text
 from farfield.files.images import write_image
 from farfield.studio.options import CalibrationSettings, DatasetOpener, StudioSettings
 
@@ -43,6 +45,7 @@ def run(
     page: bool = False,
     port: int | None = None,
     browser: bool = True,
+    json: Path | None = None,
 ) -> int:
     """Solve where a sensor stands against the LiDAR, with residuals and what the data cannot tell.
 
@@ -58,8 +61,9 @@ def run(
       farfield calibrate lidar-camera kitti --intrinsics intrinsics.json --car clicked.csv
       farfield calibrate radar-lidar K-Radar --page --no-browser
 
-    Writes calibration.json and a picture before and after. Nothing of the data set is changed unless --save says so;
-    what was there is copied beside it first.
+    Prints a table of each value with its change and sigma, the residual, and whether to keep or to replace what was
+    there; writes calibration.json and a picture before and after. Nothing of the data set is changed unless --save says
+    so; what was there is copied beside it first.
 
     Args:
         kind: What against what.
@@ -73,6 +77,7 @@ def run(
         page: Calibrate radar-lidar or lidar-camera by hand and by the solvers on a page in the browser.
         port: Port of the page; the first free one from 8877 on unless given.
         browser: Open the browser; never over SSH.
+        json: Also write the result as JSON into this file; - prints it instead of the table.
     """
     if draw is not None:
         return _draw(options.board, draw)
@@ -81,12 +86,26 @@ def run(
         raise ConfigError("--page: expected radar-lidar or lidar-camera, without --save: the page saves")
     if page:
         return _page(kind, DatasetOpener(path, **reading.options), options, folder, port=port, browser=browser)
+    with redirect_stdout(sys.stderr) if json == OUTPUT else nullcontext():  # so that the output is JSON alone
+        result = _solved(kind, path, options, reading, folder, save)
+    return _write(folder, result, json)
+
+
+def _solved(
+    kind: CalibrationKind,
+    path: Path,
+    options: CalibrationOptions,
+    reading: ReadingFlags,
+    folder: Path,
+    save: Path | None,
+) -> dict[str, Any]:
+    """Solve, draw and save; the result's JSON."""
     if kind == "board":
         solution: Any = solve(kind, path, options)
         if save is not None:
             name = options.camera or "camera"
             _print_written(save_camera(save, name, solution.camera, solution.camera))
-        return _write(folder, solution.to_json())
+        return dict(solution.to_json())
     data = reading.open(path)
     solution = solve(kind, data, options)
     folder.mkdir(parents=True, exist_ok=True)
@@ -97,7 +116,7 @@ def run(
     if save is not None:
         indices = choose_frames(data, options.sequence, options.frames, runs=kind == "radar-lidar")
         _SAVERS[kind](save, data, indices, options, solution)
-    return _write(folder, solution.to_json())
+    return dict(solution.to_json())
 
 
 def _page(
@@ -119,12 +138,14 @@ def _page(
     return serve(opening, settings, port=port, browser=browser)
 
 
-def _write(folder: Path, result: dict[str, Any]) -> int:
+def _write(folder: Path, result: dict[str, Any], json: Path | None) -> int:
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "calibration.json", json.dumps(result, indent=1) + "\n")
-    shown = ("matrix", "distortion", "covered", "parameters", "change", "notes")
-    print(json.dumps({name: result[name] for name in shown if name in result}, indent=1))
-    print(f"result: {(folder / 'calibration.json').resolve()}")
+    write_json(folder / "calibration.json", result)
+    if json is not None:
+        write_json(json, result)
+    if json != OUTPUT:
+        print(calibration_text(result))
+        print(f"result: {(folder / 'calibration.json').resolve()}")
     return 0
 
 
@@ -169,7 +190,7 @@ def _save_lidars(
     if save.is_dir():
         _print_written(save_lidars_where_read(data, indices[0], registration.target_T_source))
     else:
-        write_text(save, json.dumps(registration.to_json(), indent=1) + "\n")
+        write_json(save, registration.to_json())
         _print_written([save])
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading, parse_pairs
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, PointTimes, Reading, ReadingFlags, parse_pairs
 from farfield.cli._output import read_json, write_json
 
 if TYPE_CHECKING:
@@ -31,6 +31,12 @@ def run(
     reading: Reading = AS_THEY_ARE,
     mapping_a: Path | None = None,
     mapping_b: Path | None = None,
+    columns_a: int | None = None,
+    columns_b: int | None = None,
+    intensity_scale_a: float | None = None,
+    intensity_scale_b: float | None = None,
+    point_times_a: PointTimes = "auto",
+    point_times_b: PointTimes = "auto",
     out: Path | None = None,
     json: Path | None = None,
 ) -> int:
@@ -57,6 +63,14 @@ def run(
         reading: How the files of both are read; what one reader does not know counts for the other.
         mapping_a: Mapping YAML of a alone, of its classes or its layout.
         mapping_b: The same of b.
+        columns_a: Columns of .bin files of a; what the numbers themselves show unless given.
+        columns_b: The same of b.
+        intensity_scale_a: Value that stands for full reflectance in all clouds of a; 1, 255 or 65535 by some of them
+            unless given.
+        intensity_scale_b: The same of b.
+        point_times_a: Unit of the points' times of a; auto decides by the sweeps' period, none leaves the column as it
+            is.
+        point_times_b: The same of b.
         out: Folder to write into; runs/compare-A-B unless given.
         json: Write what is in comparison.json into this file too; - prints it.
     """
@@ -70,7 +84,13 @@ def run(
     if not labels:
         raise ConfigError(f"--vehicle-labels: expected at least one class, got {vehicle_labels!r}")
     called = _names(names, (a, b))
-    opened = reading.open_both((a, b), (mapping_a, mapping_b))
+    reading_a = ReadingFlags(
+        mapping=mapping_a, columns=columns_a, intensity_scale=intensity_scale_a, point_times=point_times_a
+    )
+    reading_b = ReadingFlags(
+        mapping=mapping_b, columns=columns_b, intensity_scale=intensity_scale_b, point_times=point_times_b
+    )
+    opened = reading.open_both((a, b), (reading_a, reading_b))
     sides: Sequence[ComparedDataset] = [
         count_dataset(data, name, frames, jobs.options(name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)

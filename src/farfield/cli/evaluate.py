@@ -19,7 +19,7 @@ from farfield.cli._flags import (
     ShownBoxes,
     names,
 )
-from farfield.cli._output import bar, would_write, write_json
+from farfield.cli._output import bar, print_doubts, would_write, write_json
 
 _FEW = 40
 """Frames for which this process is faster than others that must first import torch."""
@@ -72,7 +72,9 @@ def run(
         scoring: How the boxes are scored. All classes that the detector knows have a row too; large_vehicle counts as
             vehicle where no label is given.
         boxes: Which of the detector's boxes count.
-        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
+        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so. In bf16
+            and fp16 on a processor, numbers change by about 0.002 with the order of a cloud's points, in fp32 by a
+            millionth.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         jobs: Who does the work.
         shown_frames: Frames in the report's pictures.
@@ -96,6 +98,7 @@ def run(
 
     opened = reading.open(data, rotate_deg=rotate_deg)
     opened = opened.split(split) if split else opened
+    print_doubts(opened)
     loaded = load_detector(detector, precision=precision, device=device, **boxes.options)
     print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     protocol = protocol or opened.protocol

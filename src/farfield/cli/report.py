@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, JobFlags, Jobs, Reading, ReadingFlags
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, JobFlags, Jobs, Reading
 from farfield.vocabulary.scores import SHOWN_SCORE
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
 
 
 def run(
@@ -58,11 +61,12 @@ def run(
     """
     if film is not None:
         boxes = None if predictions is None else (predictions, format)
-        return _film(evaluation, film, boxes, drive, frames, (reach_m, rate_hz, shown_score), reading, jobs)
+        return _film(reading.open(evaluation), film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
     reading.check_unused("--film, which shows a data set")
     from farfield.errors import ConfigError
     from farfield.evaluation.record import EVALUATION, Evaluation
     from farfield.experiments.course import course_of, is_run
+    from farfield.files.sizes import sized
     from farfield.pages.evaluation_page import write_report
 
     if not evaluation.exists():
@@ -74,26 +78,26 @@ def run(
     if out is None:
         out = evaluation / "report.html" if evaluation.is_dir() else evaluation.with_suffix(".html")
     path = write_report(out, replace(content, title=title or content.title), shown_score=shown_score)
-    print(f"report: {path.resolve()} ({path.stat().st_size / 1e6:.1f} MB)")
+    print(f"report: {path.resolve()} ({sized(path.stat().st_size)})")
     return 0
 
 
 def _film(
-    root: Path,
+    opened: "Dataset",
     film: Path,
     predictions: tuple[Path, str] | None,
     drive: str,
     frames: int,
     shown: tuple[float, float, float],
-    reading: ReadingFlags,
     jobs: JobFlags,
 ) -> int:
     from farfield.evaluation import in_coordinates
+    from farfield.files.sizes import sized
     from farfield.metrics.box_files import read_predictions
     from farfield.pages.film import FilmSettings, drive_named, make_film
 
     predicted = None if predictions is None else read_predictions(predictions[0], format=predictions[1])
-    data = in_coordinates(reading.open(root), "" if predicted is None else predicted.reference)
+    data = in_coordinates(opened, "" if predicted is None else predicted.reference)
     drive_shown = drive_named(data, drive)
     if frames:
         data = data.select([int(index) for index in drive_shown.indices[:frames]])
@@ -106,5 +110,5 @@ def _film(
         settings=FilmSettings(reach_m=reach_m, rate_hz=rate_hz, score=score),
         bulk=jobs.options("drawing"),
     )
-    print(f"film: {film.resolve()} ({count} frames, {film.stat().st_size / 1e6:.1f} MB)")
+    print(f"film: {film.resolve()} ({count} frames, {sized(film.stat().st_size)})")
     return 0

@@ -40,7 +40,8 @@ def run(
       farfield score predictions.csv labels.csv --protocol kradar-compat:revised_as_shipped@0.3 --label-version v2.0
       farfield score predictions.csv labels.csv --range-bins-m 0,50,100 --options ap=area distance=bev
 
-    Exit status 1 where nothing was scored: no frame with predicted and annotated boxes, or no annotated box counts.
+    Exit status 1 where nothing was scored: no frame with predicted and annotated boxes, no class that both have, or no
+    annotated box counts.
 
     boxes-csv has the columns sequence (may be absent), frame, label, x, y, z, l, w, h, yaw_rad, score (empty for
     labels), and perhaps reference, the sensor in whose coordinates the boxes stand. Predictions of kitti-tracking are
@@ -90,9 +91,11 @@ def run(
     if json != OUTPUT:
         print("".join(f"note: {note}\n" for note in notes), end="")
         print("\n\n".join(map(str, results)) + (f"\n\nwritten: {json}" if json is not None else ""))
+    fault = ""
     if not detections.paired:
-        print(
-            "exit status 1: no frame has both predicted and annotated boxes",
-            file=sys.stderr if json == OUTPUT else sys.stdout,
-        )
-    return int(not detections.paired or not any(result.known for result in results))
+        fault = "no frame has both predicted and annotated boxes"
+    elif not detections.shared_classes(results[0].settings.get("relabel") or {}):
+        fault = "no predicted box is of a class that is annotated (--options relabel=PREDICTED:ANNOTATED says which is)"
+    if fault:
+        print(f"exit status 1: {fault}", file=sys.stderr if json == OUTPUT else sys.stdout)
+    return int(bool(fault) or not any(result.known for result in results))

@@ -64,9 +64,10 @@ def run(
         first="" if html is not None else frame,
     )
     if html is not None:
+        from farfield.files.sizes import sized
         from farfield.studio.session.exporting import write_page
 
         write_page(opening(), settings, names(frame), html)
-        print(f"written: {html} ({html.stat().st_size / 1e6:.1f} MB)")
+        print(f"written: {html} ({sized(html.stat().st_size)})")
         return 0
     return serve(opening, settings, port=port, browser=browser)

@@ -17,7 +17,9 @@ from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
 from farfield.errors import DatasetError, FileFormatError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
+from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import returned
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2, normalised_class
 
@@ -61,7 +63,7 @@ class _Log:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.sweeps = sorted((p for p in root.glob("sensors/lidar/*.feather") if p.stem.isdigit()), key=_time)
+        self.sweeps = sorted((p for p in root.glob(pattern_in_any_case(_SWEEPS)) if p.stem.isdigit()), key=_time)
 
     @cached_property
     def annotation_path(self) -> Path | None:
@@ -123,7 +125,10 @@ class _Log:
     @cached_property
     def images(self) -> dict[str, list[Path]]:
         folders = sorted(path for path in self.root.glob("sensors/cameras/*") if path.is_dir())
-        return {f.name: sorted((p for p in f.glob("*.jpg") if p.stem.isdigit()), key=_time) for f in folders}
+        return {
+            f.name: sorted((p for p in f.glob(pattern_in_any_case("*.jpg")) if p.stem.isdigit()), key=_time)
+            for f in folders
+        }
 
 
 _LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3")
@@ -169,7 +174,9 @@ class Argoverse2(Dataset):
     def __init__(self, root: Path | str, *, classes: Literal["cirrus", "argoverse2"] = "cirrus") -> None:
         self.root, self.classes = Path(root), classes
         prefixes = ("", "*/", "*/*/")
-        folders = {path.parents[2] for prefix in prefixes for path in self.root.glob(f"{prefix}{_SWEEPS}")}
+        folders = {
+            path.parents[2] for prefix in prefixes for path in self.root.glob(pattern_in_any_case(f"{prefix}{_SWEEPS}"))
+        }
         folders |= {
             path.parent for prefix in prefixes for name in _ANNOTATIONS for path in self.root.glob(prefix + name)
         }
@@ -246,15 +253,14 @@ def _annotation(path: Path, where: str, table: Table, classes: str) -> Annotatio
 def _read_sweep(path: Path) -> Cloud:
     table = read_feather(path, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
     points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float32)
-    if not np.isfinite(points).all():
-        row = int(np.argwhere(~np.isfinite(points))[0][0])
-        actual = str(points[row].tolist())
-        raise FileFormatError(path, where=f"point {row}", expected="finite coordinates", got=actual)
+    valid = returned(path, points)
+    table = {name: values[valid] for name, values in table.items()}
     strength = table["intensity"].astype(np.float32) / np.float32(255)
     if not ((strength >= 0) & (strength <= 1)).all():
         actual = f"{strength.min() * 255:g} to {strength.max() * 255:g}"
         raise FileFormatError(path, where="column intensity", expected="values from 0 to 255", got=actual)
-    return Cloud(points, strength, {"ring": table["laser_number"], "offset_ns": table["offset_ns"]})
+    extra = {"ring": table["laser_number"], "offset_ns": table["offset_ns"]}
+    return Cloud(points[valid], strength, extra, int((~valid).sum()))
 
 
 def _nearest(paths: Sequence[Path], time_ns: int) -> Path | None:

@@ -15,7 +15,9 @@ from farfield.datasets.base import Dataset, Indices
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.astyx import LIDAR_COLUMNS, RADAR_COLUMNS, read_objects, read_points, read_sensors
 from farfield.files.images import image_size, read_image
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import returned
 from farfield.vocabulary.classes import CIRRUS_FROM_ASTYX, normalised_class
 
 RADAR, LIDAR, CAMERA = "radar_6455", "lidar_vlp16", "camera_front"
@@ -25,7 +27,7 @@ _REFLECTIVITY_FULL = 255.0
 def root_of(folder: Path) -> Path | None:
     """Where the radar's folder stands: in the folder, or in the one of the archive's name in it."""
     candidates = (folder, folder / "dataset_astyx_hires2019")
-    return next((candidate for candidate in candidates if any((candidate / RADAR).glob("*.txt"))), None)
+    return next((candidate for candidate in candidates if any((candidate / RADAR).glob("*" + any_case(".txt")))), None)
 
 
 class Astyx(Dataset):
@@ -55,7 +57,7 @@ class Astyx(Dataset):
         if folder is None:
             raise DatasetError(f"{self.root}: expected {RADAR}/*.txt, found none")
         self.folder = folder
-        self.frame_ids = tuple(path.stem for path in sorted((folder / RADAR).glob("*.txt")))
+        self.frame_ids = tuple(path.stem for path in sorted((folder / RADAR).glob("*" + any_case(".txt"))))
         self.sequences = (folder.resolve().name,) * len(self.frame_ids)
 
     def drive_indices(self) -> Mapping[str, Indices]:
@@ -63,8 +65,7 @@ class Astyx(Dataset):
         return {}
 
     def _file(self, index: int, folder: str, suffix: str) -> Path | None:
-        path = self.folder / folder / f"{self.frame_ids[index]}{suffix}"
-        return path if path.is_file() else None
+        return existing(self.folder / folder / f"{self.frame_ids[index]}{suffix}")
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -85,7 +86,7 @@ class Astyx(Dataset):
         lidar, picture = self._file(index, LIDAR, ".txt"), self._file(index, CAMERA, ".jpg")
         calibration, labels = self._file(index, "calibration", ".json"), self._file(index, "groundtruth_obj3d", ".json")
         calibrated = {} if calibration is None else read_sensors(calibration)
-        clouds = {"radar": partial(_read_radar, self.folder / RADAR / f"{self.frame_ids[index]}.txt")}
+        clouds = {"radar": partial(_read_radar, self._file(index, RADAR, ".txt") or self.folder)}
         sensors = {"radar": Sensor(kind="radar", frame_T_sensor=np.eye(4))}
         if lidar is not None:
             if LIDAR not in calibrated:
@@ -120,15 +121,19 @@ def _cameras(matrices: Mapping[str, Float[np.ndarray, "r c"]], picture: Path | N
 def _read_radar(path: Path) -> Cloud:
     x, y, z, velocity, magnitude = (column.astype(np.float32) for column in read_points(path, RADAR_COLUMNS))
     extra = {"v_r_m_s": velocity, "doppler_m_s": velocity, "magnitude_db": magnitude}
-    return Cloud(np.stack([x, y, z], axis=1), None, extra)
+    points = np.stack([x, y, z], axis=1)
+    valid = returned(path, points)
+    return Cloud(points[valid], None, {name: column[valid] for name, column in extra.items()}, int((~valid).sum()))
 
 
 def _read_lidar(path: Path, frame_T_lidar: Float[np.ndarray, "4 4"]) -> Cloud:
-    x, y, z, strength, ring, time_us = read_points(path, LIDAR_COLUMNS)
+    columns = read_points(path, LIDAR_COLUMNS)
+    valid = returned(path, np.stack(columns[:3], axis=1))
+    x, y, z, strength, ring, time_us = (column[valid] for column in columns)
     placed = np.stack([x, y, z], axis=1) @ frame_T_lidar[:3, :3].T + frame_T_lidar[:3, 3]
     intensity = np.clip(strength / _REFLECTIVITY_FULL, 0, 1).astype(np.float32)
     extra = {"ring": ring.astype(np.int64), "time_us": time_us.astype(np.int64)}
-    return Cloud(placed.astype(np.float32), intensity, extra)
+    return Cloud(placed.astype(np.float32), intensity, extra, int((~valid).sum()))
 
 
 def _read_annotation(path: Path, classes: str) -> Annotation:

@@ -221,6 +221,11 @@ class Dataset(ABC):
         return () if earlier is None else self.files(earlier)
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What was left out or cannot be used of what the folder holds, one sentence each."""
+        return ()
+
+    @property
     def unwrapped(self) -> "Dataset":
         """The reader under selections and maps."""
         return self

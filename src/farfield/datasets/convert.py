@@ -30,7 +30,7 @@ from farfield.files.openlabel import format_openlabel
 from farfield.files.pcd import write_pcd
 from farfield.files.sustechpoints import format_calibration, format_sustechpoints
 from farfield.frame import Boxes, Cloud, Frame, Key
-from farfield.frame.cloud import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache
+from farfield.frame.cloud import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache, xyz_columns
 from farfield.jobs import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
 from farfield.jobs.folders import locked, sweep_out
 
@@ -214,7 +214,7 @@ def _to_cache(dataset: Dataset, overwrite: bool, bulk: JobOptions) -> Outcome:
         ]
     elif isinstance(reader, Folder):
         clouds = (reader.clouds[index] for index in dataset.origins)
-        sources = [(path, dataset.root, 5) for path in clouds if path.suffix == ".xyz"]
+        sources = [(path, dataset.root, xyz_columns(path)) for path in clouds if path.suffix.lower() == ".xyz"]
         delimiter = "auto"
     else:
         sources = []

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.json_labels import DatumaroLabels, SuperviselyLabels, annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.datasets.labels.tracklet_reading import (
@@ -28,10 +29,11 @@ from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
 from farfield.files.datumaro import parse_datumaro
+from farfield.files.point_times import PointTimes
 from farfield.files.supervisely import parse_supervisely
 from farfield.files.tracklets import parse_tracklets
 from farfield.frame import Annotation, Frame, Lazy, Sensor
-from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
+from farfield.frame.cloud import CLOUD_SUFFIXES
 
 _KITTI_CLOUDS, _TRACKLETS = "velodyne_points/data", "tracklet_labels.xml"
 ByFrame = Mapping[str, tuple[Cuboid, ...]]
@@ -77,7 +79,7 @@ def _task(folder: Path) -> CvatTask | None:
         labels = tuple(sorted(folder.glob(pattern)))
         if labels and (folder / cloud_folder).is_dir():
             paths = sorted((folder / cloud_folder).rglob("*"))
-            clouds = tuple(path for path in paths if path.suffix in CLOUD_SUFFIXES and path.is_file())
+            clouds = tuple(path for path in paths if path.suffix.lower() in CLOUD_SUFFIXES and path.is_file())
             return CvatTask(folder, clouds, labels, parse) if clouds else None
     return None
 
@@ -93,6 +95,10 @@ class Cvat(Dataset):
         root: A task, or a folder of tasks.
         tracklets: What the numbers of ``tracklet_labels.xml`` stand for: ``"kitti"``, ``"cvat"`` or ``"datumaro"``;
             None decides by the list beside it, the writer's marks, and the points in the boxes.
+        bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
+        intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is none.
@@ -101,7 +107,15 @@ class Cvat(Dataset):
 
     name = "cvat"
 
-    def __init__(self, root: Path | str, *, tracklets: str | None = None) -> None:
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        tracklets: str | None = None,
+        bin_columns: int | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
+    ) -> None:
         self.root, self.tracklets = Path(root), tracklets
         checked_convention(tracklets)
         self.tasks = tasks(self.root)
@@ -113,6 +127,12 @@ class Cvat(Dataset):
             _check_names(task)
         self.sequences = tuple(task.folder.resolve().name for task, _ in self.frames)
         self.frame_ids = tuple(task.clouds[index].stem for task, index in self.frames)
+        self.reading = CloudReading(
+            [task.clouds[index] for task, index in self.frames],
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+        )
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -128,13 +148,24 @@ class Cvat(Dataset):
 
     def annotation(self, index: int) -> Annotation | None:
         """The boxes of frame ``index``."""
+        load = self._annotation_of(index)
+        return None if load is None else load()
+
+    def _annotation_of(self, index: int) -> Callable[[], Annotation] | None:
+        """What gives the annotation of frame ``index``; None where it has none."""
         task, cloud_index = self.frames[index]
-        return _annotation(task, cloud_index, self.tracklets) if self.has_annotation(index) else None
+        if not self.has_annotation(index):
+            return None
+        return partial(_annotation, task, cloud_index, self.tracklets, self.reading.bin_columns)
+
+    def tracklets_of(self, task: CvatTask) -> TrackletReading:
+        """The tracklets of a task; errors are those of :func:`read_tracklets`."""
+        return _tracklets_of(task, self.tracklets, self.reading.bin_columns)
 
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What the numbers of each task's tracklets stand for, and by what that was decided."""
-        readings = [tracklets_of(task, self.tracklets) for task in self.tasks if task.parse is parse_tracklets]
+        readings = [self.tracklets_of(task) for task in self.tasks if task.parse is parse_tracklets]
         return tuple(reading.sentence for reading in readings if not reading.published)
 
     def frame(self, index: int) -> Frame:
@@ -143,11 +174,9 @@ class Cvat(Dataset):
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
-            clouds=Lazy({"lidar": partial(read_cloud, task.clouds[cloud_index])}),
+            clouds=Lazy({"lidar": self.reading.loader(task.clouds[cloud_index])}),
             sensors={"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))},
-            load_annotation=partial(_annotation, task, cloud_index, self.tracklets)
-            if self.has_annotation(index)
-            else None,
+            load_annotation=self._annotation_of(index),
             metadata={"files": [str(path) for path in self.files(index)]},
         )
 
@@ -158,7 +187,7 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
     Datumaro's of one task or of tasks in the root, Supervisely's, or KITTI's tracklets; None where they are mixed.
     """
     if all(task.parse is parse_tracklets for task in data.tasks):
-        readings = {task.folder: tracklets_of(task, data.tracklets) for task in data.tasks}
+        readings = {task.folder: data.tracklets_of(task) for task in data.tasks}
         places = {
             key: (task.labels[0], readings[task.folder].numbers[task.clouds[index].stem])
             for key, (task, index) in zip(data.keys, data.frames, strict=True)
@@ -194,14 +223,13 @@ def _check_names(task: CvatTask) -> None:
         )
 
 
-def tracklets_of(task: CvatTask, convention: str | None) -> TrackletReading:
-    """The tracklets of a task; arguments and errors are those of :func:`read_tracklets`."""
-    return read_tracklets(task.labels[0], task.clouds, convention=convention)
+def _tracklets_of(task: CvatTask, convention: str | None, bin_columns: int | None) -> TrackletReading:
+    return read_tracklets(task.labels[0], task.clouds, convention=convention, bin_columns=bin_columns)
 
 
-def _annotation(task: CvatTask, index: int, convention: str | None) -> Annotation:
+def _annotation(task: CvatTask, index: int, convention: str | None, bin_columns: int | None) -> Annotation:
     if task.parse is parse_tracklets:
-        return annotation_of(tracklets_of(task, convention).boxes(task.clouds[index].stem))
+        return annotation_of(_tracklets_of(task, convention, bin_columns).boxes(task.clouds[index].stem))
     stems, stem = tuple(cloud.stem for cloud in task.clouds), task.clouds[index].stem
     boxes: tuple[Cuboid, ...] = ()
     for path in task.label_files(index):

@@ -17,7 +17,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated
 
@@ -26,36 +26,40 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.base import Dataset, Indices, all_known
-from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
+from farfield.datasets.calibration import CALIBRATION_NAMES, usable_cameras
 from farfield.datasets.class_mapping import MAPPING_NAME, read_class_mapping, renamed, usual
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.errors import DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.cuboids import check_yaw
 from farfield.files.images import read_image
-from farfield.frame import Annotation, Boxes, Constant, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import CLOUD_SUFFIXES, columns_shown, read_cloud
+from farfield.files.point_times import PointTimes
+from farfield.files.suffixes import any_case, existing
+from farfield.frame import Annotation, Boxes, Camera, Constant, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import CLOUD_SUFFIXES
 
 TABLE_NAME = "labels.csv"
 _BOX_FOLDERS = ("", "boxes", "labels")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _MAX_BYTES = 64 << 20
-_LOOKED_AT = 8
-_NANOSECONDS = re.compile(r"\d{16,19}")
+_STAMP, _MICROSECOND_DIGITS = re.compile(r"\d{16,19}"), 16
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
+_Angle = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
 
 
 class _BoxEntry(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
-    label: str
-    centre_m: tuple[_Finite, _Finite, _Finite]
+    label: Annotated[str, Field(pattern=r"\S")]
+    centre_m: tuple[_Coordinate, _Coordinate, _Coordinate]
     size_m: tuple[_Positive, _Positive, _Positive]
-    yaw_rad: _Finite
+    yaw_rad: _Angle
     score: _Finite | None = None
-    track_id: int | None = None
+    track_id: Annotated[int, Field(ge=-1, lt=1 << 53)] | None = None
     velocity_m_s: tuple[_Finite, _Finite] | tuple[_Finite, _Finite, _Finite] | None = None
 
 
@@ -71,9 +75,11 @@ def read_boxes(path: Path | str) -> Boxes:
     Raises:
         FileFormatError: If the file does not hold such boxes.
     """
+    data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
-        entries = _BoxFile.model_validate_json(read_bytes(path, max_bytes=_MAX_BYTES)).boxes
+        entries = _BoxFile.model_validate_json(data).boxes
     except ValidationError as error:
+        _refuse_labelcloud(path, data)
         raise FileFormatError(path, where="keys", expected="boxes", got=plain(error)) from error
     if not entries:
         return Boxes.empty()
@@ -93,6 +99,32 @@ def read_boxes(path: Path | str) -> Boxes:
         if all(t is None for t in tracks)
         else np.array([-1 if t is None else t for t in tracks], dtype=np.int64),
         velocity_m_s=_velocities(path, entries),
+    )
+
+
+def _refuse_labelcloud(path: Path | str, data: bytes) -> None:
+    """Name labelCloud's JSON, whose boxes are called objects.
+
+    Raises:
+        FileFormatError: If it is such a file.
+    """
+    try:
+        tree = json.loads(data)
+    except (ValueError, RecursionError):
+        return
+    objects = tree.get("objects") if isinstance(tree, dict) else None
+    entries = objects if isinstance(objects, list) else []
+    keys = {key for entry in entries if isinstance(entry, dict) for key in entry}
+    if objects is None or not (keys & {"centroid", "vertices"} or "filename" in tree):
+        return
+    raise FileFormatError(
+        path,
+        where="key 'objects'",
+        expected="boxes",
+        got="labels of labelCloud",
+        fix='Write {"boxes": [...]}: label from name, centre_m from centroid, size_m from dimensions (length, width, '
+        "height), yaw_rad from rotations.z, which centroid_abs has in degrees; or set label_format = centroid_rel in "
+        "labelCloud, whose rotations are radians.",
     )
 
 
@@ -128,11 +160,33 @@ def write_boxes(path: Path | str, boxes: Boxes) -> None:
 
 
 def _time_ns(stem: str) -> int | None:
-    return int(stem) if _NANOSECONDS.fullmatch(stem) else None
+    """A name of 17 to 19 digits in nanoseconds, of 16 in microseconds: no sweep is of January 1970."""
+    if not _STAMP.fullmatch(stem):
+        return None
+    return int(stem) * (1000 if len(stem) == _MICROSECOND_DIGITS else 1)
 
 
 def _read_annotation(path: Path, classes: Mapping[str, str]) -> Annotation:
     return renamed(usual(Annotation(boxes=read_boxes(path))), classes)
+
+
+def cloud_files(root: Path) -> list[Path]:
+    """The clouds of a folder in the order of their names, without hidden files such as macOS' ``._a.pcd``.
+
+    Raises:
+        DatasetError: If one is a link to what is not there: a frame would be missing without a word.
+    """
+    named = sorted(
+        path for path in root.iterdir() if path.suffix.lower() in CLOUD_SUFFIXES and not path.name.startswith(".")
+    )
+    broken = [path for path in named if path.is_symlink() and not path.exists()]
+    if broken:
+        raise DatasetError(
+            f"{broken[0]}: expected a cloud, found a link to {broken[0].readlink()}, which is not there or leads in a "
+            f"circle ({len(broken)} of {len(named)} clouds are such links). Copy what it stands for, or, in a "
+            "repository of git-annex: git annex get ."
+        )
+    return [path for path in named if path.is_file()]
 
 
 def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
@@ -178,7 +232,9 @@ class Folder(Dataset):
         root: The folder.
         mapping: A file that renames classes; None takes ``mapping.yaml`` in the folder, if it is there.
         bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
-        intensity_scale: Value that stands for full reflectance; None decides for each file.
+        intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is no cloud, two clouds share a stem, a frame has two annotations, or the table none of
@@ -195,14 +251,14 @@ class Folder(Dataset):
         *,
         mapping: Path | str | None = None,
         bin_columns: int | None = None,
-        intensity_scale: float | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
     ) -> None:
         self.root = Path(root)
         own = self.root / MAPPING_NAME
         self.mapping_path = Path(mapping) if mapping is not None else own if own.is_file() else None
         self.class_mapping = {} if self.mapping_path is None else read_class_mapping(self.mapping_path)
-        self.intensity_scale = intensity_scale
-        self.clouds = sorted(path for path in self.root.iterdir() if path.suffix in CLOUD_SUFFIXES and path.is_file())
+        self.clouds = cloud_files(self.root)
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected clouds with suffix {', '.join(CLOUD_SUFFIXES)}; found none")
         self.frame_ids = tuple(path.stem for path in self.clouds)
@@ -210,7 +266,13 @@ class Folder(Dataset):
         double = next((stem for stem, count in Counter(self.frame_ids).items() if count > 1), None)
         if double is not None:
             raise DatasetError(f"{self.root}: expected one cloud a stem, found several with stem {double!r}")
-        self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT])
+        self.reading = CloudReading(
+            self.clouds,
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+            stamps_ns=[_time_ns(stem) for stem in self.frame_ids],
+        )
         self.table_path = self.root / TABLE_NAME
         self._table = read_table(self.table_path, self.sequences[0]) if self.table_path.is_file() else {}
         self._check_table()
@@ -242,7 +304,7 @@ class Folder(Dataset):
     def _stems(self, folder: str) -> set[str]:
         """Stems of the annotations in a folder."""
         path = self.root / folder
-        return {path.stem for path in path.glob("*.json")} if path.is_dir() else set()
+        return {path.stem for path in path.glob("*" + any_case(".json"))} if path.is_dir() else set()
 
     @property
     def strays(self) -> tuple[str, ...]:
@@ -254,7 +316,7 @@ class Folder(Dataset):
     def _beside(self, index: int, folders: Sequence[str], suffixes: Sequence[str]) -> Path | None:
         stem = self.frame_ids[index]
         candidates = (self.root / folder / f"{stem}{suffix}" for folder in folders for suffix in suffixes)
-        return next((path for path in candidates if path.is_file()), None)
+        return next((path for candidate in candidates if (path := existing(candidate))), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -287,14 +349,23 @@ class Folder(Dataset):
         """The calibration of the camera, one of the usual names in the root, or None."""
         return next((self.root / name for name in CALIBRATION_NAMES if (self.root / name).is_file()), None)
 
+    @cached_property
+    def _calibration(self) -> tuple[dict[str, Camera], tuple[str, ...]]:
+        """The cameras, and what is to be said of the file."""
+        return usable_cameras(self.calibration_file)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What of the calibration cannot be used."""
+        return self._calibration[1]
+
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         path, stem = self.clouds[index], self.frame_ids[index]
         image = self._beside(index, ("", "images"), _IMAGE_SUFFIXES)
-        calibration = self.calibration_file
         images = Lazy({} if image is None else {"camera": partial(read_image, image)})
-        cameras = {} if calibration is None else read_calibration(calibration)
-        load = partial(read_cloud, path, bin_columns=self.bin_columns, intensity_scale=self.intensity_scale)
+        cameras = self._calibration[0]
+        load = self.reading.loader(path, _time_ns(stem))
         return Frame(
             sequence=self.sequences[index],
             frame_id=stem,

@@ -13,7 +13,9 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.class_mapping import MAPPING_NAME, maps_classes, read_class_mapping
 from farfield.datasets.frame_maps import described, make
 from farfield.datasets.recipes import maps_of_options, plain
+from farfield.datasets.unread import advice_on, unread_files
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.suffixes import pattern_in_any_case
 from farfield.registry import PluginError, Registry
 
 
@@ -88,9 +90,9 @@ def is_argoverse2(root: Path) -> bool:
 
 def is_kradar(root: Path) -> bool:
     """Whether a folder holds K-Radar or a part of it."""
-    from farfield.datasets.kradar.index import find_sequences
+    from farfield.datasets.kradar.index import find_sequences, with_disks
 
-    return bool(find_sequences([root]))
+    return bool(find_sequences(with_disks([root])))
 
 
 def is_astyx(root: Path) -> bool:
@@ -140,7 +142,7 @@ def _parts(root: Path) -> tuple[Path, ...]:
 
 
 def _has(root: Path, pattern: str) -> bool:
-    return next(iter(root.glob(pattern)), None) is not None
+    return next(iter(root.glob(pattern_in_any_case(pattern))), None) is not None
 
 
 CIRRUS = Format(
@@ -335,6 +337,11 @@ def looked_for() -> dict[str, str]:
 
 
 _EVERYWHERE = ("poses", "rotate_deg")  # options of every format
+_CLOUD_FLAGS = {
+    "bin_columns": " (--columns): its files say their columns themselves",
+    "intensity_scale": " (--intensity-scale): its format says the full scale",
+    "point_times": " (--point-times): its format says what its points' times are",
+}
 
 
 def open_dataset(path: Path | str, *, format: str | None = None, **options: Any) -> Dataset:
@@ -362,8 +369,7 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     """
     root = Path(path).expanduser()
     if not root.is_dir():
-        kind = "a file" if root.exists() else "nothing"
-        raise DatasetError(f"{path}: expected a data set's folder, found {kind}.")
+        raise DatasetError(f"{path}: expected a data set's folder, found {_no_folder(root)}.")
     recognised = format or recognise(root)
     classes, options = _class_mapping(root, recognised, options)
     if format is None:
@@ -374,7 +380,8 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
         looked = "".join(f"\n  {name}: {what}" for name, what in looked_for().items())
         held = sorted(entry.name for entry in root.iterdir())
         shown = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "") or "nothing"
-        raise DatasetError(f"{root}: recognised no data set. It holds: {shown}. {_inside(root)}Looked for:{looked}")
+        hints = _unread(root) + _inside(root)
+        raise DatasetError(f"{root}: recognised no data set. It holds: {shown}. {hints}Looked for:{looked}")
     reader = find_format(format).load()
     own = _checked_options(format, reader, options)
     opened = reader(root, **{name: value for name, value in options.items() if name in own})
@@ -401,6 +408,30 @@ def _class_mapping(
     return read_class_mapping(path), {name: value for name, value in options.items() if name != "mapping"}
 
 
+def _no_folder(root: Path) -> str:
+    """What stands where a folder should, and what to do."""
+    if root.is_symlink() and not root.exists():
+        return f"a link to {root.readlink()}, which is not there or leads in a circle"
+    if not root.exists():
+        return "nothing"
+    from farfield.files.bags import SUFFIXES
+    from farfield.frame.cloud import CLOUD_SUFFIXES
+
+    if root.suffix.lower() in (*SUFFIXES, *CLOUD_SUFFIXES):
+        return f"one file. Name the folder that holds it: {root.parent}"
+    advice = advice_on(root)
+    return f"a file ({advice})" if advice else "a file"
+
+
+def _unread(root: Path) -> str:
+    """Sentences on files that no reader takes."""
+    texts = unread_files(root)
+    links = [entry for entry in root.iterdir() if entry.is_symlink() and not entry.exists()]
+    if links:
+        texts = (*texts, f"{links[0].name} is a link to {links[0].readlink()}, which is not there")
+    return "".join(f"{text}. " for text in texts)
+
+
 def _inside(root: Path) -> str:
     """A sentence on data sets one folder deeper."""
     folders = sorted(entry for entry in root.iterdir() if entry.is_dir())[:50]
@@ -417,7 +448,7 @@ def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> se
     offered = [*own, *(name for name in reader.view_options if name not in own), *_EVERYWHERE]
     unknown = [name for name in options if name not in offered]
     if unknown:
-        flag = " (--columns): its files say their columns themselves" if unknown[0] == "bin_columns" else ""
+        flag = _CLOUD_FLAGS.get(unknown[0], "")
         raise ConfigError(
             f"open_dataset: the {format} reader does not know the option {unknown[0]!r}{flag}; it knows "
             f"{', '.join(offered)}"

@@ -5,9 +5,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.errors import DatasetError
+from farfield.files.point_times import PointTimes
 from farfield.frame import Frame, Key
-from farfield.frame.cloud import read_cloud
 
 
 class InMemory(Dataset):
@@ -70,7 +71,10 @@ class CloudFiles(Dataset):
 
     Args:
         paths: The files; a file's name is its frame's. Where two have one name, their folders are their sequences.
-        bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
+        bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
+        intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If a file is named twice, or two cannot be told apart.
@@ -80,8 +84,18 @@ class CloudFiles(Dataset):
     root = Path()
     stored = False
 
-    def __init__(self, paths: Sequence[Path], *, bin_columns: int | None = None) -> None:
-        self.paths, self.bin_columns = tuple(paths), bin_columns
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        *,
+        bin_columns: int | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
+    ) -> None:
+        self.paths = tuple(paths)
+        self.reading = CloudReading(
+            self.paths, bin_columns=bin_columns, intensity_scale=intensity_scale, point_times=point_times
+        )
         alone = len({path.stem for path in self.paths}) == len(self.paths)
         self.sequences = tuple("files" if alone else path.resolve().parent.name for path in self.paths)
         self.frame_ids = tuple(path.stem for path in self.paths)
@@ -92,7 +106,7 @@ class CloudFiles(Dataset):
 
     def frame(self, index: int) -> Frame:
         """Read cloud ``index``."""
-        cloud = read_cloud(self.paths[index], bin_columns=self.bin_columns)
+        cloud = self.reading(self.paths[index])
         return Frame.of(cloud, sequence=self.sequences[index], frame_id=self.frame_ids[index])
 
     def files(self, index: int) -> tuple[Path, ...]:

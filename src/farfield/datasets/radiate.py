@@ -19,8 +19,10 @@ from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
 from farfield.files.radiate import RadiateTracks, read_times, read_tracks
+from farfield.files.suffixes import any_case, existing
 from farfield.files.xyz import read_xyz
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import returned
 from farfield.geometry.poses import pose
 from farfield.radar.turning import CARTESIAN_SHAPE, CELL_M, CENTRE_PX, POLAR_SHAPE, TURN_S, strongest_cells
 from farfield.vocabulary.classes import normalised_class
@@ -41,6 +43,7 @@ CLASSES = {
     "group_of_pedestrians": "pedestrian",
 }
 NOMINAL_HEIGHT_M = {"vehicle": 1.6, "large_vehicle": 3.2, "motorcycle": 1.6, "bicycle": 1.7, "pedestrian": 1.7}
+_PNG = f"*{any_case('.png')}"
 _PICTURES = {"polar": "Navtech_Polar", "cartesian": "Navtech_Cartesian"}
 _SCENES = {"fog": "weather", "rain": "weather", "snow": "weather", "night": "time"}
 _NEAREST_S = 0.06
@@ -115,7 +118,8 @@ class Radiate(Dataset):
             near = _nearest(self._listed(self.sequences[index], sensor), time_ns)
             if near is not None:
                 files[sensor] = (folder / sensor / f"{near[0]:06d}{suffix}", near[1])
-        return {name: (path, time) for name, (path, time) in files.items() if path.is_file()}
+        there = {name: (existing(path), time) for name, (path, time) in files.items()}
+        return {name: (path, time) for name, (path, time) in there.items() if path is not None}
 
     def _times_of(self, indices: Indices) -> Indices | None:
         return all_known(self._time_ns(int(index)) for index in indices)
@@ -179,12 +183,12 @@ def find_sequences(root: Path) -> list[Path]:
 
 
 def _holds_pictures(folder: Path) -> bool:
-    return any(next(iter((folder / subfolder).glob("*.png")), None) is not None for subfolder in _PICTURES.values())
+    return any(next(iter((folder / subfolder).glob(_PNG)), None) is not None for subfolder in _PICTURES.values())
 
 
 def radar_frames(folder: Path) -> list[int]:
     """Numbers of the radar frames whose picture is there, in order."""
-    stems = {path.stem for subfolder in _PICTURES.values() for path in (folder / subfolder).glob("*.png")}
+    stems = {path.stem for subfolder in _PICTURES.values() for path in (folder / subfolder).glob(_PNG)}
     return sorted(int(stem) for stem in stems if len(stem) == 6 and stem.isascii() and stem.isdigit())
 
 
@@ -241,13 +245,15 @@ def radar_cloud(path: Path, share: float) -> Cloud:
 
 def lidar_cloud(path: Path) -> Cloud:
     """Read a lidar sweep (x right, y forward, z up, intensity 0 to 255, ring) into the radar's frame."""
-    rows = read_xyz(path, columns=5, delimiter=",")
+    rows = read_xyz(path, columns=5, delimiter=",", on_nan="keep")
+    valid = returned(path, rows[:, :3])
+    rows = rows[valid]
     points = np.column_stack([rows[:, 1], -rows[:, 0], rows[:, 2]]) + np.array(RADAR_T_LIDAR_M)
     if not ((rows[:, 3] >= 0) & (rows[:, 3] <= 255)).all():
         actual = f"{rows[:, 3].min():g} to {rows[:, 3].max():g}"
         raise FileFormatError(path, where="column 4, intensity", expected="values from 0 to 255", got=actual)
     intensity = (rows[:, 3] / 255).astype(np.float32)
-    return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)})
+    return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)}, int((~valid).sum()))
 
 
 def annotation_of(rows: RadiateTracks, classes: str = "cirrus") -> Annotation:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from farfield.errors import ConfigError, DatasetError, plain
+from farfield.files.stand_ins import check_itself
 from farfield.frame import Key
 
 SPLIT_SHARES = {"train": 0.70, "val": 0.15, "test": 0.15}
@@ -135,6 +136,7 @@ def read_parts(path: Path, units: Iterable[str]) -> dict[str, list[str]]:
     """
     if not path.is_file():
         return {}
+    check_itself(path)
     try:
         parts = json.loads(path.read_text("utf-8"))
     except (ValueError, UnicodeDecodeError) as error:

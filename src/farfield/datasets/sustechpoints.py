@@ -13,15 +13,18 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.json_labels import SustechLabels, annotation_of
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import numbers
 from farfield.files.images import image_size, read_image
 from farfield.files.json_text import parse_json
+from farfield.files.point_times import PointTimes
+from farfield.files.suffixes import any_case, existing
 from farfield.files.sustechpoints import MAX_BYTES, parse_sustechpoints
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
+from farfield.frame.cloud import CLOUD_SUFFIXES
 
 _IMAGES = (".jpg", ".jpeg", ".png")
 
@@ -34,7 +37,7 @@ def scenes(root: Path) -> list[Path]:
 
 
 def _is_scene(folder: Path) -> bool:
-    clouds = (path for suffix in CLOUD_SUFFIXES for path in folder.glob(f"lidar/*{suffix}"))
+    clouds = (path for suffix in CLOUD_SUFFIXES for path in folder.glob(f"lidar/*{any_case(suffix)}"))
     return next(clouds, None) is not None and ((folder / "label").is_dir() or (folder / "calib").is_dir())
 
 
@@ -43,6 +46,10 @@ class SustechPoints(Dataset):
 
     Args:
         root: A scene, or a folder of scenes.
+        bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
+        intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is none.
@@ -50,7 +57,14 @@ class SustechPoints(Dataset):
 
     name = "sustechpoints"
 
-    def __init__(self, root: Path | str) -> None:
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        bin_columns: int | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
+    ) -> None:
         self.root = Path(root)
         self.scenes = scenes(self.root)
         if not self.scenes:
@@ -59,15 +73,19 @@ class SustechPoints(Dataset):
             path
             for scene in self.scenes
             for path in sorted((scene / "lidar").iterdir())
-            if path.suffix in CLOUD_SUFFIXES
+            if path.suffix.lower() in CLOUD_SUFFIXES
         ]
         self.sequences = tuple(path.parent.parent.resolve().name for path in self.clouds)
         self.frame_ids = tuple(path.stem for path in self.clouds)
+        self.reading = CloudReading(
+            self.clouds, bin_columns=bin_columns, intensity_scale=intensity_scale, point_times=point_times
+        )
 
     def label_path(self, index: int) -> Path:
         """The label file of frame ``index``, or where it would stand."""
         path = self.clouds[index]
-        return path.parent.parent / "label" / f"{path.stem}.json"
+        label = path.parent.parent / "label" / f"{path.stem}.json"
+        return existing(label) or label
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -90,7 +108,7 @@ class SustechPoints(Dataset):
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
-            clouds=Lazy({"lidar": partial(read_cloud, self.clouds[index])}),
+            clouds=Lazy({"lidar": self.reading.loader(self.clouds[index])}),
             images=Lazy({name: partial(read_image, path) for name, path in images.items()}),
             cameras=cameras,
             sensors={
@@ -108,7 +126,7 @@ class SustechPoints(Dataset):
             folder.name: image
             for folder in folders
             for suffix in _IMAGES
-            if (image := folder / f"{path.stem}{suffix}").is_file()
+            if (image := existing(folder / f"{path.stem}{suffix}"))
         }
 
     def _calibrations(self, index: int) -> dict[str, Path]:

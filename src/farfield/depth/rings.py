@@ -220,7 +220,17 @@ def draw_surface(
 
         focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1], camera.matrix[0, 2], camera.matrix[1, 2]])
         fold = fold_radius(camera.distortion) ** 2
-        draw(grid.points, grid.spread_m, slopes, rows, camera.distortion, fold, focal, raster.depth_m, raster.doubt_m)
+        draw(
+            grid.points,
+            grid.spread_m,
+            slopes,
+            rows,
+            np.array(camera.distortion),
+            fold,
+            focal,
+            raster.depth_m,
+            raster.doubt_m,
+        )
         return raster
     for lower, count in enumerate(rows):
         _draw_between(grid, lower, (np.arange(count) / count)[:, None], slopes[lower], camera, raster)

@@ -1,5 +1,6 @@
 """From a detector and frames to detections, ready to be scored; each frame is built once, by whoever detects in it."""
 
+import copy
 import json
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, MutableMapping, Sequence
@@ -242,23 +243,25 @@ class DetectTask:
         if self.annotated_only and not frame.has_annotation:
             return UnitResult()
         points = None if self.cloud is None else frame.cloud(self.cloud)  # reading a file is not the detector's time
-        start_s = time.perf_counter()
-        boxes = self.detector(frame)
-        ms = 1e3 * (time.perf_counter() - start_s)
-        if self.own is not None:
-            boxes = boxes.transform(motion(frame, self.own[unit.parameters]))
-        annotation = frame.annotation
+        # What scores is taken first, and the detector gets a copy: nothing that it does to the frame reaches the score
+        annotation, conditions = frame.annotation, dict(frame.conditions)
         point_count = None if annotation is None or points is None else points_in_boxes(annotation, points)
+        own_T_frame = None if self.own is None else motion(frame, self.own[unit.parameters])
+        shown = frame.annotated(copy.deepcopy(annotation))
+        start_s = time.perf_counter()
+        boxes = self.detector(shown)
+        ms = 1e3 * (time.perf_counter() - start_s)
+        boxes = copy.deepcopy(boxes) if own_T_frame is None else boxes.transform(own_T_frame)
         detections = FrameDetections(
             boxes=boxes,
             point_count=point_count,
             annotation=None if annotation is None else with_point_count(annotation, point_count),
-            conditions=frame.conditions,
+            conditions=conditions,
             ms=ms,
         )
         if not self.packed:
             return UnitResult(value=detections)
-        return UnitResult(value=detections.to_json(), clock=_JournalledFrame(ms, annotation, frame.conditions))
+        return UnitResult(value=detections.to_json(), clock=_JournalledFrame(ms, annotation, conditions))
 
     def units(self) -> list[Unit]:
         """One a frame."""

@@ -21,7 +21,6 @@ from farfield.frame import Annotation, Boxes, Constant, Frame, Key
 from farfield.metrics.box_files import kitti_boxes, read, read_predictions
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.kradar.conditions import read_conditions
-from farfield.metrics.sanity import sanity_warnings
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, normalised_class
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -161,8 +160,7 @@ def _in_cameras(predictions: Path, data: Dataset, reference: str) -> Detections:
     annotated = [_in_camera(data, index) for index in range(len(data)) if data.has_annotation(index)]
     joined = detections_from_boxes(boxes, annotated)
     notes += [note for note in joined.notes if note not in notes]
-    notes += sanity_warnings(joined.boxes, joined.annotated)
-    return replace(joined, prediction_details=details, notes=tuple(notes))
+    return replace(joined, prediction_details=details, notes=tuple(notes)).with_oddities()
 
 
 def _in_camera(data: Dataset, index: int) -> Frame:
@@ -210,8 +208,7 @@ def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
         detections = replace(detections, boxes=renamed)
         pairs = ", ".join(f"{name} is {ours}" for name, ours in names.items())
         notes.append(f"classes of the predictions are called as the data's: {pairs}")
-    warnings = sanity_warnings(detections.boxes, detections.annotated)
-    return replace(detections, notes=(*notes, *detections.notes, *warnings))
+    return replace(detections, notes=(*notes, *detections.notes)).with_oddities()
 
 
 def _meant(detections: Detections, data: Dataset) -> dict[str, str]:

@@ -28,6 +28,7 @@ from farfield.files.images import read_image, write_image
 from farfield.frame import Annotation, Cloud, Constant, Frame, Lazy, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
+from farfield.metrics.result_json import check_parts, check_result
 from farfield.radar.axes import CUBE_SHAPE
 
 EVALUATION = "evaluation.json"
@@ -132,6 +133,7 @@ class Evaluation:
             )
         content = _read_json(path)
         if "results" not in content and {"protocol", "settings"} <= set(content):
+            check_result(content, path)
             return cls(results={str(content.get("label", "result")): content}, title=f"Scores of {path.stem}")
         for name in ("results", "settings", "provenance"):
             if not isinstance(content.get(name), dict):
@@ -143,8 +145,13 @@ class Evaluation:
                     got=actual,
                     fix="Give the evaluation.json of `farfield evaluate` or the JSON of `farfield score --json`.",
                 )
-        frames = []
-        for name in content.get("frames", []):
+        for name, result in content["results"].items():
+            check_result(result, path, ("results", name))
+        check_parts(content, path)
+        frames, names = [], content.get("frames") or []
+        if not isinstance(names, list):
+            raise FileFormatError(path, where="key 'frames'", expected="a list of names", got=repr(names)[:80])
+        for name in names:
             if not (isinstance(name, str) and name.isalnum()):
                 raise FileFormatError(path, where="key 'frames'", expected="names such as '0000'", got=repr(name))
             frame, predictions, title, radar_db = load_frame(path.parent / "frames", name)
@@ -293,7 +300,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
             sensors={part: _sensor(values) for part, values in content.get("sensors", {}).items()},
             load_annotation=None if annotated is None else Constant(Annotation(boxes=annotated)),
         )
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
         reason = plain(error)
         raise FileFormatError(
             path, where="the frame", expected="a frame as `save_frame` writes it", got=reason

@@ -19,6 +19,7 @@ from farfield.experiments.schema import DataConfig, Experiment, dump_experiment
 from farfield.experiments.validation import Validation
 from farfield.files.atomic import write_text
 from farfield.frame.provenance import SIMULATION_FILE, environment
+from farfield.inspection.axes_and_units import first_doubts
 from farfield.simulation.recording import ensure, recorded_frames
 from farfield.training.checkpoints import CHECKPOINT_NAME
 from farfield.training.loop import Training
@@ -82,6 +83,10 @@ class Plan:
         for note in notes:
             report.say(note)
         configs = _configs(experiment, method)
+        if fabric.is_global_zero:  # of what was not there yet when the run was announced
+            for name in (name for name in data if name not in self.data and configs[name].simulate):
+                for doubt in first_doubts(data[name]):
+                    report.say(f"warning: {doubt}")
         data, validation, taken_out = self._validation(data, configs, method)
         parts = {name: held_out(frames, method.held_out) for name, frames in data.items()}
         data = {name: trained if own is None else without(trained, own) for name, (trained, own) in parts.items()}
@@ -146,6 +151,7 @@ class Plan:
             f"classes {', '.join(detector.class_names)}"
         ]
         counts: list[int] = []
+        doubts: list[str] = []
         for name, stream in method.streams.items():
             of_stream = f" of the stream {name}" if len(method.streams) > 1 else ""
             if name not in self.data and configs[name].simulate is not None:
@@ -154,6 +160,7 @@ class Plan:
             data = self.data[name] if name in self.data else open_frames(configs[name], stream, experiment)
             drives = len(set(data.sequences))
             counts.append(len(data))
+            doubts += [f"warning{of_stream}: {doubt}" for doubt in first_doubts(data)]
             lines.append(
                 f"data{of_stream}: {data.root} ({data.name}), {len(data):,} frames of {drives} "
                 f"{'drive' if drives == 1 else 'drives'}"
@@ -175,7 +182,7 @@ class Plan:
             )
         goes_on = (self.folder / CHECKPOINT_NAME).is_file()
         lines.append(f"run: {self.folder}, {'which goes on from its checkpoint' if goes_on else 'which begins'}")
-        for line in lines:
+        for line in [*lines, *doubts]:
             report.say(line)
 
     def dry_run(self) -> list[str]:

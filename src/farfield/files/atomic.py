@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from farfield.errors import FileFormatError
+from farfield.files.stand_ins import HEAD_BYTES, refuse_stand_in
 
-_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 MAX_BYTES = 1 << 30  # the largest file that a reader takes unless its caller says otherwise: 1 GiB
 
 
@@ -22,7 +22,7 @@ def read_bytes(path: Path | str, *, max_bytes: int = MAX_BYTES) -> bytes:
         max_bytes: Largest size that is accepted.
 
     Raises:
-        FileFormatError: If the file is larger, is no regular file, or is a pointer of Git LFS.
+        FileFormatError: If the file is larger, is no regular file, or something else stands in its place.
         OSError: If the file cannot be opened.
     """
     with Path(path).open("rb") as handle:
@@ -38,14 +38,7 @@ def read_bytes(path: Path | str, *, max_bytes: int = MAX_BYTES) -> bytes:
                 fix="Pass a larger max_bytes if the file is meant to be so large.",
             )
         data = handle.read(status.st_size)
-    if data.startswith(_LFS_POINTER):
-        raise FileFormatError(
-            path,
-            where="byte 0",
-            expected="the file itself",
-            got="a pointer of Git LFS, which stands for it",
-            fix="Fetch the files: git lfs pull.",
-        )
+    refuse_stand_in(path, data[:HEAD_BYTES])
     return data
 
 

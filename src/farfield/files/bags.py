@@ -18,6 +18,8 @@ import numpy as np
 from jaxtyping import Int64
 
 from farfield.errors import FarfieldError, FileFormatError, MissingExtraError
+from farfield.files.stand_ins import check_itself
+from farfield.files.suffixes import any_case
 
 SUFFIXES = (".mcap", ".db3")
 HEADER = "std_msgs/msg/Header"
@@ -43,8 +45,10 @@ class Stamps:
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file of a known suffix, or a folder with a bag's metadata."""
     if path.is_file():
-        return path.suffix in SUFFIXES
-    return (path / "metadata.yaml").is_file() and any(next(path.glob(f"*{suffix}"), None) for suffix in SUFFIXES)
+        return path.suffix.lower() in SUFFIXES
+    return (path / "metadata.yaml").is_file() and any(
+        next(path.glob(f"*{any_case(suffix)}"), None) for suffix in SUFFIXES
+    )
 
 
 class Bag:
@@ -63,10 +67,13 @@ class Bag:
         self._open: Any = None
         self._packed = False
         for part in [self.path] if self.path.is_file() else sorted(self.path.iterdir()):
-            if part.suffix == ".db3":
+            if part.suffix.lower() in (*SUFFIXES, ".yaml"):
+                check_itself(part)
+            if part.suffix.lower() == ".db3":
                 _check_size(part)
-            elif part.suffix == ".mcap":
+            elif part.suffix.lower() == ".mcap":
                 check_records(part)
+                check_kind(part)
             elif part.suffix == ".zstd":
                 check_packed_file(part)
         with guarded(self.path, "the bag"):
@@ -294,6 +301,63 @@ def check_records(path: Path) -> None:
                 _check_chunk(path, number, handle.read(min(length, _HEAD + 64)), length)
             handle.seek(offset + length)
             number += 1
+
+
+# Bags that are whole, but of another system: ROS 1, or messages in another encoding than ROS 2's (CDR).
+
+_HEADER, _CHANNEL, _ROS1_BAG = 1, 4, b"#ROSBAG V"
+TO_ROS2 = "rosbags-convert --src FILE.bag --dst FOLDER"
+"""The command that turns a ROS 1 bag into a ROS 2 one; it comes with rosbags, which reads bags here."""
+
+
+def check_kind(path: Path) -> None:
+    """Refuse a file that is no MCAP, or an MCAP of ROS 1 or of messages that are not in ROS 2's encoding.
+
+    Raises:
+        FileFormatError: If it is one of these; the message names the converter.
+    """
+    encodings: set[str] = set()
+    with path.open("rb") as handle:
+        magic = handle.read(len(_MAGIC))
+        if magic != _MAGIC:
+            if (magic + handle.read(8)).startswith(_ROS1_BAG):
+                raise ros1_error(path)
+            actual = "an empty file" if not magic else repr(magic)
+            raise FileFormatError(path, where="byte 0", expected="MCAP's mark", got=actual, fix="It is no MCAP file.")
+        while len(head := handle.read(9)) == 9:
+            length, offset = int.from_bytes(head[1:], "little"), handle.tell()
+            if head[0] in (_HEADER, _CHANNEL):
+                content = handle.read(min(length, 4096))
+                texts = _texts(content[4:] if head[0] == _CHANNEL else content)
+                encodings |= set(texts[:1] if head[0] == _HEADER else texts[1:2])
+            handle.seek(offset + length)
+    if "ros1" in encodings:
+        raise ros1_error(path)
+    others = sorted(encodings & {"protobuf", "json", "flatbuffer", "cbor", "msgpack"})
+    if others and "cdr" not in encodings:
+        raise FileFormatError(
+            path,
+            where="the channels",
+            expected="messages of ROS 2 (encoding cdr)",
+            got=f"messages in {', '.join(others)}",
+            fix="Write the clouds as sensor_msgs/msg/PointCloud2 into a ROS 2 bag, or as .pcd files into a folder.",
+        )
+
+
+def ros1_error(path: Path) -> FileFormatError:
+    """What is said of a ROS 1 bag, by whatever suffix it goes."""
+    fix = f"Convert the bag: {TO_ROS2} (pip install rosbags); of an MCAP of ROS 1 the .bag that it was made from."
+    return FileFormatError(path, where="the file", expected="a ROS 2 bag", got="a bag of ROS 1", fix=fix)
+
+
+def _texts(content: bytes) -> list[str]:
+    """The texts at the beginning of a record, each behind its length."""
+    texts: list[str] = []
+    while len(content) >= 4 and len(texts) < 2:
+        length = int.from_bytes(content[:4], "little")
+        texts.append(content[4 : 4 + length].decode("utf-8", "replace"))
+        content = content[4 + length :]
+    return texts
 
 
 def _check_chunk(path: Path, number: int, head: bytes, length: int) -> None:

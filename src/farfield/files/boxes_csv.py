@@ -25,7 +25,10 @@ from farfield.files.atomic import open_atomic, read_bytes
 
 MAX_CSV_BYTES = 1 << 28
 _NUMBERS = ("x", "y", "z", "l", "w", "h", "yaw_rad")
-_LEAST_M, _FARTHEST_M = 1e-4, 1e9  # beyond them volumes and distances lose their meaning in float64
+_LEAST_M = 1e-4
+_MOST = {"x": 1e7, "y": 1e7, "z": 1e7, "l": 1e6, "w": 1e6, "h": 1e6, "yaw_rad": 1e3}
+"""Beyond the coordinates of any map, sizes in millimetres, and any turn; velocities: 1e6 m/s."""
+_FASTEST_M_S = 1e6
 _NEEDED = ("frame", "label", *_NUMBERS)
 _WORDS = ("sequence", "frame", "label", "reference")
 _COUNTS = ("track_id", "point_count")
@@ -242,8 +245,9 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
         raise _wrong(path, line, f"a finite number as {name}", repr(text[:40]))
     if name in "lwh" and value < _LEAST_M:
         raise _wrong(path, line, f"a positive size as {name}, {_LEAST_M:g} m or more", text[:40])
-    if name in (*_NUMBERS, *_VELOCITY, _DOPPLER) and abs(value) > _FARTHEST_M:
-        raise _wrong(path, line, f"a number within {_FARTHEST_M:g} as {name}", text[:40])
+    most = _MOST.get(name, _FASTEST_M_S)
+    if name in (*_NUMBERS, *_VELOCITY, _DOPPLER) and abs(value) > most:
+        raise _wrong(path, line, f"a number within {most:g} as {name}", text[:40])
     if name in _COUNTS and (value != round(value) or abs(value) > 2**53):
         raise _wrong(path, line, f"a whole number as {name}", text[:40])
     return value

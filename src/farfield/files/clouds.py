@@ -27,14 +27,18 @@ _DTYPES = frozenset(["|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u
 
 
 def read_bin(
-    path: Path | str, *, columns: int = 4, on_nan: Literal["error", "drop"] = "error", max_bytes: int = MAX_BYTES
+    path: Path | str,
+    *,
+    columns: int = 4,
+    on_nan: Literal["error", "drop", "keep"] = "error",
+    max_bytes: int = MAX_BYTES,
 ) -> Float32[np.ndarray, "n columns"]:
     """Read a KITTI velodyne file: rows of little-endian float32, no header (KITTI object devkit readme).
 
     Args:
         path: The file.
         columns: Columns: 4 for KITTI (x, y, z in metres, reflectance 0..1), 7 for View-of-Delft radar.
-        on_nan: What to do with points that hold NaN or infinity: ``"error"`` or ``"drop"``.
+        on_nan: What to do with points that hold NaN or infinity: ``"error"``, ``"drop"`` or ``"keep"``.
         max_bytes: Largest file that is accepted.
 
     Returns:
@@ -54,6 +58,8 @@ def read_bin(
             fix="The file is truncated, or has another number of columns (columns=).",
         )
     rows = np.frombuffer(data, dtype="<f4").reshape(points, columns).astype(np.float32)
+    if on_nan == "keep":
+        return rows
     finite = np.isfinite(rows).all(axis=1)
     if not finite.all() and (on_nan == "error" or not finite.any()):
         bad = int(np.argmin(finite))
@@ -62,7 +68,7 @@ def read_bin(
             where=f"byte {bad * 4 * columns} (point {bad})",
             expected="finite numbers",
             got=str(rows[bad].tolist()),
-            fix="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
+            fix="Remove them from the file; in Python on_nan='drop' leaves them out." if on_nan == "error" else "",
         )
     return rows if finite.all() else rows[finite]
 
@@ -195,6 +201,8 @@ _FARTHEST_M = 1e4
 _ALIKE = 0.1  # mean Kolmogorov distance of columns that hold the same quantity
 _CLEAR = 0.05  # nats: what the best has to have, and to be ahead of one that is no divisor of it
 _MOST_RINGS = 512
+_FEW = 0.01  # share of negative numbers in a damaged column of intensities
+_LEAST_BRIGHT = 129  # the brightest value of a colour, more than the most rings of a usual LiDAR
 
 
 @dataclass(frozen=True)
@@ -320,13 +328,21 @@ def _places(rows: Float32[np.ndarray, "n c"]) -> bool:
     return bool(finite.any() and near)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged numbers
 def names_of(rows: Shaped[np.ndarray, "n c"]) -> tuple[str, ...]:
     """Names by what the columns hold, the first three being x, y and z.
 
-    The fourth is ``intensity`` unless some of it is negative (``signal``); one that is equal to sqrt(x^2 + y^2 + z^2)
-    is ``range_m``, and small whole numbers are a ``ring``; others are ``extra0``, ``extra1``... from the fifth on.
+    Of six, three colours of 0 to 255 are ``r``, ``g``, ``b`` and unit vectors ``nx``, ``ny``, ``nz``; neither is an
+    intensity. Else the fourth is ``intensity`` unless more than one in a hundred is negative (``signal``); one that is
+    equal to sqrt(x^2 + y^2 + z^2) is ``range_m``, and small whole numbers are a ``ring``; others are ``extra0``,
+    ``extra1``... from the fifth on.
     """
-    names = ["x", "y", "z", "intensity" if rows[:, 3:4].min(initial=0.0) >= 0 else "signal"][: rows.shape[1]]
+    if rows.shape[1] == 6 and (named := _colours_or_normals(rows[:, 3:])):
+        return ("x", "y", "z", *named)
+    is_signal = np.count_nonzero(rows[:, 3:4] < 0) > _FEW * len(rows)
+    names = ["x", "y", "z", "signal" if is_signal else "intensity"][: rows.shape[1]]
+    if rows.shape[1] == len(names):
+        return tuple(names)
     ranges = np.linalg.norm(rows[:, :3].astype(np.float64), axis=1)
     for number in range(4, rows.shape[1]):
         column = rows[:, number].astype(np.float64)
@@ -339,6 +355,17 @@ def names_of(rows: Shaped[np.ndarray, "n c"]) -> tuple[str, ...]:
         else:
             names.append(f"extra{number - 4}")
     return tuple(names)
+
+
+def _colours_or_normals(three: Shaped[np.ndarray, "n 3"]) -> tuple[str, ...]:
+    """Names of three columns that are colours or unit vectors; none where they are neither."""
+    values = three.astype(np.float64)
+    if not len(values) or not np.isfinite(values).all():
+        return ()
+    if (np.abs(np.linalg.norm(values, axis=1) - 1) < 0.01).mean() > 0.99:
+        return ("nx", "ny", "nz")
+    is_byte = bool((values == np.rint(values)).all() and values.min() >= 0 and values.max() <= 255)
+    return ("r", "g", "b") if is_byte and values.max(axis=0).min() >= _LEAST_BRIGHT else ()
 
 
 def _is_ring(column: Float[np.ndarray, " n"]) -> bool:

@@ -12,6 +12,7 @@ from PIL import Image, ImageOps
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import open_atomic, read_bytes
+from farfield.files.stand_ins import check_itself
 
 MAX_PIXELS = 100_000_000  # 300 MB in memory
 _MAX_IMAGE_BYTES = 1 << 28
@@ -66,6 +67,7 @@ def image_size(path: Path | str) -> tuple[int, int]:
     Raises:
         FileFormatError: If the file is no such image.
     """
+    check_itself(path)
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(path, formats=("JPEG", "PNG")) as image:
             return image.size
@@ -138,7 +140,7 @@ def write_animation(path: Path, pictures: Sequence[Path], *, rate_hz: float = 10
     images = _images(pictures)
     first = next(images)
     duration_ms = round(1000 / rate_hz)
-    if path.suffix == ".gif":
+    if path.suffix.lower() == ".gif":
         first = first.quantize(128)
         rest = (image.resize(first.size).quantize(128, palette=None) for image in images)
         first.save(path, "GIF", save_all=True, append_images=rest, duration=duration_ms, loop=0, optimize=False)

@@ -18,6 +18,7 @@ from farfield.files.atomic import read_bytes, write_text
 
 MAX_TEXT_BYTES = 1 << 26  # KITTI's largest label file has 2 MB
 DETECTION_TYPES = {1: "Pedestrian", 2: "Car", 3: "Cyclist"}
+_FARTHEST_M, _LARGEST_M, _MOST_RAD = 1e7, 1e6, 1e3
 _LABEL_COLUMNS = 15  # type, truncation, occlusion, alpha, 2D box, h w l, x y z, rotation_y; then perhaps a score
 
 
@@ -170,6 +171,7 @@ def read_detections(path: Path | str) -> KittiTracks:
         score=values[:, 6],
         line=np.array(lines, dtype=np.int64),
     )
+    _check_possible(path, objects)
     return _tracks(path, ids[:, 0], np.full(len(rows), -1), objects)
 
 
@@ -268,7 +270,7 @@ def _objects(path: Path | str, lines: list[int], rows: list[list[str]]) -> Kitti
     width = len(rows[0]) if rows else _LABEL_COLUMNS
     values = _numbers(path, [row[1:] for row in rows], lines, columns=width - 1)
     occlusion = _whole(path, [row[2:3] for row in rows], lines, 1)[:, 0]
-    return KittiObjects(
+    objects = KittiObjects(
         type=np.array([row[0] for row in rows], dtype=np.str_) if rows else np.empty(0, "<U1"),
         truncation=values[:, 0],
         occlusion=occlusion,
@@ -280,6 +282,20 @@ def _objects(path: Path | str, lines: list[int], rows: list[list[str]]) -> Kitti
         score=values[:, 14] if width > _LABEL_COLUMNS else None,
         line=np.array(lines, dtype=np.int64),
     )
+    _check_possible(path, objects)
+    return objects
+
+
+def _check_possible(path: Path | str, objects: KittiObjects) -> None:
+    """Refuse places beyond any map, sizes beyond millimetres, and turns that no writer counts."""
+    limits = ((objects.bottom_m, _FARTHEST_M), (objects.size_m, _LARGEST_M), (objects.rotation_y_rad, _MOST_RAD))
+    for values, most in limits:
+        beyond = np.argwhere(np.abs(values) > most)
+        if len(beyond):
+            expected = (
+                f"places within {_FARTHEST_M:g} metres, sizes within {_LARGEST_M:g}, turns within {_MOST_RAD:g} rad"
+            )
+            raise _wrong(path, int(objects.line[beyond[0][0]]), expected, f"{values[tuple(beyond[0])]:g}")
 
 
 def _tracks(

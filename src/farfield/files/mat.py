@@ -20,6 +20,7 @@ from jaxtyping import Shaped
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
+from farfield.files.stand_ins import check_itself
 
 _MAX_NAME_BYTES = 63  # MATLAB's namelengthmax
 _TEXT = b"MATLAB 5.0 MAT-file, written by Farfield"
@@ -365,6 +366,7 @@ def open_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Iter
     Raises:
         FileFormatError: If the file is no such file, is damaged, or has no numeric array of this name.
     """
+    check_itself(path)
     with Path(path).open("rb") as handle:
         status = os.fstat(handle.fileno())
         if not stat.S_ISREG(status.st_mode) or status.st_size > max_bytes:

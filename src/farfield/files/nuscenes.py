@@ -15,6 +15,7 @@ from farfield.files.atomic import read_bytes
 
 _MAX_BYTES = 1 << 31
 _LARGEST = 1e9
+_SAME_EGO_M = 0.5
 _KINDS = ("tracking", "detection")
 WORLD = "world"
 """Name of the coordinates in which the format's own boxes stand."""
@@ -33,6 +34,7 @@ class NuScenesBoxes:
         score: Shape (n,).
         label: Classes, n names.
         track: Identities, n names; empty for detections.
+        ego_m: Where the car stood, x, y, z; None where no box says how far it is from there (``ego_translation``).
     """
 
     centre_m: Float[np.ndarray, "n 3"]
@@ -42,6 +44,7 @@ class NuScenesBoxes:
     score: Float[np.ndarray, " n"]
     label: tuple[str, ...]
     track: tuple[str, ...]
+    ego_m: Float[np.ndarray, "3"] | None = None
 
 
 def read_results(path: Path | str) -> dict[str, NuScenesBoxes]:
@@ -94,7 +97,39 @@ def _sample(path: Path | str, token: str, boxes: list[Any]) -> NuScenesBoxes:
         score=table[:, 12],
         label=tuple(label for _, label, _ in rows),
         track=tuple(track for _, _, track in rows if track is not None),
+        ego_m=_ego(path, token, boxes),
     )
+
+
+def _ego(path: Path | str, token: str, boxes: list[Any]) -> Float[np.ndarray, "3"] | None:
+    """Where the car stood: what is left of a box's place once its place seen from there is taken off.
+
+    The devkit writes zeros where it does not know.
+    """
+    places = []
+    for number, box in enumerate(boxes):
+        relative = box.get("ego_translation")
+        if relative is None:
+            continue
+        try:
+            offset = np.array(_numbers(relative, 3))
+        except (TypeError, ValueError) as error:
+            raise FileFormatError(
+                path,
+                where=f"sample {token}, box {number}",
+                expected="ego_translation: three finite numbers",
+                got=plain(error),
+            ) from error
+        if offset.any():
+            places.append(np.array(box["translation"], dtype=np.float64) - offset)
+    if not places:
+        return None
+    ego_m = np.median(places, axis=0)
+    apart_m = float(np.abs(np.array(places) - ego_m).max())
+    if apart_m > _SAME_EGO_M:
+        expected = "translation less ego_translation to be where the car stood, the same for all boxes"
+        raise FileFormatError(path, where=f"sample {token}", expected=expected, got=f"places {apart_m:.2g} m apart")
+    return ego_m
 
 
 def _row(box: Mapping[str, Any]) -> _Row:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Int64, Shaped
 
 from farfield.errors import FileFormatError
+from farfield.files.stand_ins import check_itself
 
 Unit = Literal["auto", "s", "ms", "us", "ns"]
 BLOCK_BYTES = 1 << 20
@@ -60,6 +61,7 @@ def recognise_stamps(path: Path | str, *, unit: Unit = "auto") -> StampList | No
         FileFormatError: If it is a list of whole numbers that fit no unit.
     """
     path = Path(path)
+    check_itself(path)
     with path.open("rb") as handle:
         first, second = handle.readline(LONGEST_LINE), handle.readline(LONGEST_LINE)
     if _RADIATE.match(first):

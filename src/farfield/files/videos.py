@@ -17,6 +17,7 @@ from jaxtyping import Float, Int, UInt8
 from farfield.errors import ConfigError, FileFormatError, MissingExtraError
 from farfield.files.atomic import open_atomic
 from farfield.files.images import MAX_PIXELS
+from farfield.files.stand_ins import check_itself
 
 VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v")
 WRITTEN = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov", ".mkv": "matroska"}
@@ -88,6 +89,7 @@ def _kind_of(path: Path | str) -> str:
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """A film and its first video stream; what goes wrong within is said as a damaged file."""
     av = _av()
+    check_itself(path)
     try:
         with av.open(str(path), metadata_errors="replace") as container:
             if not container.streams.video:

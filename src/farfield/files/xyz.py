@@ -24,7 +24,7 @@ def read_xyz(
     *,
     columns: int | None = None,
     delimiter: str = "auto",
-    on_nan: Literal["error", "drop"] = "error",
+    on_nan: Literal["error", "drop", "keep"] = "error",
     max_bytes: int = MAX_BYTES,
 ) -> Float[np.ndarray, "n c"]:
     """Read a headerless ASCII cloud.
@@ -34,7 +34,7 @@ def read_xyz(
         columns: Number of columns; None accepts 5 or 8, as the first line has it.
         delimiter: ``"auto"`` (from the first line: semicolon, comma, else white space), ``","``, ``";"``, or
             ``" "`` for any white space.
-        on_nan: What to do with points that hold NaN or infinity: ``"error"`` or ``"drop"``.
+        on_nan: What to do with points that hold NaN or infinity: ``"error"``, ``"drop"`` or ``"keep"``.
         max_bytes: Largest file that is accepted.
 
     Returns:
@@ -71,10 +71,10 @@ def read_xyz(
 
 
 def _finite(
-    rows: Float[np.ndarray, "n c"], *, on_nan: Literal["error", "drop"], path: Path | str
+    rows: Float[np.ndarray, "n c"], *, on_nan: Literal["error", "drop", "keep"], path: Path | str
 ) -> Float[np.ndarray, "kept c"]:
     finite = np.isfinite(rows).all(axis=1)
-    if finite.all():
+    if finite.all() or on_nan == "keep":
         return rows
     if on_nan == "drop" and finite.any():
         return rows[finite]
@@ -84,7 +84,7 @@ def _finite(
         where=f"line {bad + 1}",
         expected="finite numbers" if on_nan == "error" else "at least one point with finite numbers",
         got=str(rows[bad].tolist()),
-        fix="Pass on_nan='drop' to leave such points out." if on_nan == "error" else "",
+        fix="Remove them from the file; in Python on_nan='drop' leaves them out." if on_nan == "error" else "",
     )
 
 

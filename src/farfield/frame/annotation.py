@@ -7,9 +7,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
+from farfield.errors import DatasetError
+from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.geometry.poses import invert, transform_points
+from farfield.geometry.poses import check_rigid, invert, transform_points
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,7 +47,7 @@ class CameraField:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Footprints:
+class Footprints(Locked):
     """Objects that were annotated from above only: they have no height and are no boxes.
 
     Args:
@@ -60,6 +62,9 @@ class Footprints:
     size_m: Float[np.ndarray, "n 2"]
     yaw_rad: Float[np.ndarray, " n"]
 
+    def __post_init__(self) -> None:
+        self.lock()
+
     def __len__(self) -> int:
         return len(self.label)
 
@@ -71,8 +76,15 @@ class Footprints:
         return replace(self, centre_m=centre_m, yaw_rad=np.arctan2(heading[:, 1], heading[:, 0]))
 
 
+_FARTHEST_M, _LARGEST_M = 1e7, 1e6  # beyond any map; sizes in millimetres stay for the doctor to name
+
+
+class ImpossibleBoxError(DatasetError):
+    """A box of an annotation cannot be: too far away, too large, or without a class."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Annotation:
+class Annotation(Locked):
     """The annotated boxes of a frame, and what is known of each.
 
     Args:
@@ -90,6 +102,7 @@ class Annotation:
 
     Raises:
         ValueError: If something has another length than the boxes.
+        ImpossibleBoxError: If a centre lies beyond 10,000 km, a side is longer than 1,000 km, or a class is empty.
     """
 
     boxes: Boxes
@@ -110,6 +123,25 @@ class Annotation:
         for name, rows in self._rows().items():
             if rows is not None and len(rows) != len(self.boxes):
                 raise ValueError(f"Annotation.{name}: expected {len(self.boxes)} rows, one a box, got {len(rows)}")
+        self._check_possible()
+        self.lock()
+
+    def _check_possible(self) -> None:
+        limits = {"centres": (self.boxes.centre_m, _FARTHEST_M), "sizes": (self.boxes.size_m, _LARGEST_M)}
+        for name, (values, most) in limits.items():
+            beyond = (np.abs(values) > most).any(axis=1)
+            if beyond.any():
+                row = int(np.argmax(beyond))
+                raise ImpossibleBoxError(
+                    f"annotation, box {row}: expected {name} within {most:g} metres, got {values[row].tolist()}. Mend "
+                    "or remove the box in the label file."
+                )
+        for labels in (self.boxes.label, self.original_label):
+            row = next((row for row, word in enumerate(() if labels is None else labels) if not str(word).strip()), -1)
+            if row >= 0:
+                raise ImpossibleBoxError(
+                    f"annotation, box {row}: expected a class, got none. Name it in the label file."
+                )
 
     def _rows(self) -> dict[str, Any]:
         named = ("visibility", "moving", "original_label", "full_boxes")
@@ -139,7 +171,12 @@ class Annotation:
         return replace(self, boxes=boxes)
 
     def moved(self, target_T_frame: Float[np.ndarray, "4 4"]) -> "Annotation":
-        """The annotation in other coordinates: boxes, full boxes, footprints and the annotated region."""
+        """The annotation in other coordinates: boxes, full boxes, footprints and the annotated region.
+
+        Raises:
+            ConfigError: If it is no rigid motion.
+        """
+        check_rigid(target_T_frame, "Annotation.moved")
         unboxed = {
             name: value.transform(target_T_frame) if isinstance(value, Boxes | Footprints) else value
             for name, value in self.unboxed.items()

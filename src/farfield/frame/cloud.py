@@ -17,8 +17,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.intensities import intensity_scale_of, scaled_intensity
+from farfield.files.point_times import OFFSET_COLUMN, PointTimeColumn, PointTimes, point_time_column
+from farfield.files.stand_ins import check_itself
+from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes, points_in_boxes
-from farfield.geometry.poses import transform_points
+from farfield.geometry.poses import check_rigid, transform_points
 from farfield.registry import display_html
 
 _PLACE = ("x_m", "y_m", "z_m")
@@ -28,22 +32,25 @@ CACHE_FOLDER = ".farfield_cache"
 CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".xyz", ".ffcloud")
 
 _MOST_COLUMNS, _LINE_BYTES = 16, 4096
+_MOST_OFFSET_S = 2.0
 _NEAREST_M = 1e4  # no sensor sees so far: clouds in millimetres begin nearer
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
-    """A point cloud with whatever columns its file had.
+class Cloud(Locked):
+    """A point cloud with whatever columns its file had; its arrays are read-only.
 
     Args:
-        points_m: x, y, z in metres, shape (n, 3); kept as float32.
+        points_m: x, y, z in metres from about the sensor, shape (n, 3); kept as float32.
         intensity: Return strength in [0, 1], shape (n,), kept as float32; None where it is not known, and for a radar,
             whose power or cross-section is a column of its own.
         extra: Further columns by name, each of shape (n,): ``ring``, ``time_ns``, ``power``, ``doppler_m_s``...
-        missing: Rows of the file that had no place, as organised clouds mark a direction without return; left out.
+        missing: Rows of the file without a place (NaN, or 0, 0, 0), as sensors mark directions without return; they
+            are left out.
 
     Raises:
-        ValueError: If columns differ in length, points have no three numbers or an intensity lies outside [0, 1].
+        ValueError: If columns differ in length, points have no three numbers, all of them lie beyond 10 km (those of
+            a map, which float32 holds to half a metre) or an intensity lies outside [0, 1].
     """
 
     points_m: Num[np.ndarray, "n 3"]
@@ -52,10 +59,19 @@ class Cloud:
     missing: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points_m", np.asarray(self.points_m, dtype=np.float32))
+        points_m = np.asarray(self.points_m)
+        object.__setattr__(self, "points_m", points_m.astype(np.float32, copy=False))
         if self.points_m.ndim != 2 or self.points_m.shape[1] != 3:
             raise ValueError(
                 f"Cloud.points_m: expected shape (n, 3), got {self.points_m.shape}; Cloud.of takes rows of more columns"
+            )
+        away_m = _beyond_any_sensor(points_m)
+        if away_m:
+            raise ValueError(
+                f"Cloud.points_m: expected metres from the sensor, got points of which the nearest lies "
+                f"{away_m:.4g} m away: "
+                "coordinates of a map (UTM, ECEF)? float32 holds them to "
+                f"{np.spacing(np.float32(np.abs(points_m).max())):.2g} m. Subtract where the sensor stood, in float64."
             )
         if self.intensity is not None:
             object.__setattr__(self, "intensity", np.asarray(self.intensity, dtype=np.float32))
@@ -67,6 +83,7 @@ class Cloud:
                 f"Cloud: expected intensities in [0, 1], got {self.intensity.min():g} to {self.intensity.max():g}; "
                 "scale them, or give a radar's power as a column of extra"
             )
+        self.lock()
 
     @classmethod
     def of(cls, rows: Shaped[np.ndarray, "n columns"]) -> "Cloud":
@@ -150,6 +167,25 @@ class Cloud:
             "not read it, or data that have it."
         )
 
+    def offsets_s(self) -> Float[np.ndarray, " n"] | None:
+        """When each point was measured, in seconds since the frame's time, shape (n,); None where it is not known.
+
+        Raises:
+            ConfigError: If a column of times holds anything but nanoseconds within a second or so of the frame's time.
+        """
+        name = next((name for name in (OFFSET_COLUMN, "time_ns") if name in self.extra), None)
+        if name is None:
+            return None
+        offsets_s = np.asarray(self.extra[name], dtype=np.float64) * 1e-9
+        if not (np.abs(offsets_s) <= _MOST_OFFSET_S).all():
+            raise ConfigError(
+                f"Cloud: expected points measured within {_MOST_OFFSET_S:g} s of their sweep, in nanoseconds in the "
+                f"column {name}; got {np.min(self.extra[name])} to {np.max(self.extra[name])}. Subtract the frame's "
+                "time, or give the unit: --point-times s, ms, us, ns or none (point_times=); odometry takes points as "
+                "they are with --no-deskew"
+            )
+        return offsets_s
+
     @classmethod
     def concatenate(cls, parts: "list[Cloud]") -> "Cloud":
         """Join clouds; only the columns that all of them have are kept."""
@@ -162,13 +198,32 @@ class Cloud:
         )
 
     def transform(self, target_T_source: Float[np.ndarray, "4 4"]) -> "Cloud":
-        """Move all points rigidly into another frame."""
+        """Move all points rigidly into another frame.
+
+        Raises:
+            ConfigError: If it is no rigid motion.
+            ValueError: If the points then lie beyond 10 km, as on a map.
+        """
+        check_rigid(target_T_source, "Cloud.transform")
         moved = transform_points(target_T_source, self.points_m.astype(np.float64)).astype(np.float32)
-        return Cloud(moved, self.intensity, self.extra)
+        return Cloud(moved, self.intensity, self.extra, self.missing)
 
     def in_boxes(self, boxes: Boxes, *, margin_m: float = 0.0) -> list[Int[np.ndarray, " _"]]:
         """Indices of the points inside each box, one array a box."""
         return points_in_boxes(self.points_m, boxes, margin_m=margin_m)
+
+
+def _beyond_any_sensor(points_m: Num[np.ndarray, "n 3"]) -> float:
+    """The distance of the nearest point, metres, where it is beyond what sensors see; 0 where it is not.
+
+    What stands at the origin is no return and does not count.
+    """
+    if not len(points_m) or max(points_m.max(), -points_m.min()) <= _NEAREST_M:  # not so for NaN: then it is looked at
+        return 0.0
+    range_m = np.linalg.norm(points_m.astype(np.float64), axis=1)
+    range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
+    nearest_m = float(range_m.min()) if len(range_m) else 0.0
+    return nearest_m if nearest_m > _NEAREST_M else 0.0
 
 
 def cache_path(source: Path, root: Path) -> Path:
@@ -211,70 +266,206 @@ def read_rows(
         stored = read_cache(cached)
         columns_read = [stored[name] for number in range(len(stored)) if (name := f"c{number}") in stored]
         good = [column for column in columns_read if column.ndim == 1]
-        if len(good) < 4 or len({len(column) for column in good}) != 1 or len(good) != len(stored):
+        if len(good) < 3 or len({len(column) for column in good}) != 1 or len(good) != len(stored):
             actual = f"{', '.join(stored)[:80]}"
             fix = "Delete the cache file, or write it anew: farfield convert DATA --to cache --overwrite."
             raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", got=actual, fix=fix)
         return good
-    return list(read_xyz(source, columns=columns, delimiter=delimiter).T)
+    return list(read_xyz(source, columns=columns, delimiter=delimiter, on_nan="keep").T)
 
 
 def write_rows_cache(source: Path, root: Path, *, columns: int | None = None, delimiter: str = "auto") -> Path:
     """Parse an ASCII cloud and write its cache; returns the cache's path.
 
-    Columns are float32, except where numbers above 100,000 (times, identities) need float64.
+    Rows that are NaN, where nothing returned, stay. Columns are float32, except where numbers above 100,000 (times,
+    identities) need float64.
     """
     from farfield.files.clouds import write_cache
     from farfield.files.xyz import read_xyz
 
-    rows = read_xyz(source, columns=columns, delimiter=delimiter)
+    rows = read_xyz(source, columns=columns, delimiter=delimiter, on_nan="keep")
     cached = cache_path(source, root)
     cached.parent.mkdir(parents=True, exist_ok=True)
     write_cache(
         cached,
         {
-            f"c{number}": column.astype(np.float32 if np.abs(column).max(initial=0.0) < 1e5 else np.float64)
+            f"c{number}": column.astype(np.float32 if np.nanmax(np.abs(column), initial=0.0) < 1e5 else np.float64)
             for number, column in enumerate(rows.T)
         },
     )
     return cached
 
 
-def read_cloud(path: Path, *, bin_columns: int | None = None, intensity_scale: float | None = None) -> Cloud:
+@dataclass(frozen=True, kw_only=True)
+class CloudSettings:
+    """How the columns of a cloud file become a cloud.
+
+    Args:
+        intensity_scale: Value that stands for full reflectance; None decides by the file, see
+            :func:`intensity_scale_of`.
+        point_times: Unit of the points' times, see :data:`~farfield.files.point_times.PointTimes`.
+        usual_unit: Unit that other clouds of the data set show.
+        row_names: Names of the columns of files without any, by how many they are; None decides by the file.
+        stamp_ns: The sweep's time since 1970; None where it is not known.
+        period_ns: From one sweep to the next; None where it is not known.
+    """
+
+    intensity_scale: float | int | None = None
+    point_times: PointTimes = "auto"
+    usual_unit: str | None = None
+    row_names: Mapping[int, tuple[str, ...]] | None = None
+    stamp_ns: int | None = None
+    period_ns: float | int | None = None
+
+    def at(self, stamp_ns: int | None) -> "CloudSettings":
+        """The same for a sweep of a time."""
+        return replace(self, stamp_ns=stamp_ns)
+
+
+_OWN_SETTINGS = CloudSettings()
+
+
+def read_cloud(path: Path, settings: CloudSettings = _OWN_SETTINGS, *, bin_columns: int | None = None) -> Cloud:
     """Read one cloud file of a known suffix: .pcd, .bin (velodyne), .npy (rows), .xyz or .ffcloud.
 
     Args:
         path: The file.
+        settings: How its columns become a cloud.
         bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
-        intensity_scale: Value that stands for full reflectance; None takes the smallest of 1, 255 and 65535 that
-            covers the file.
 
     Raises:
-        FileFormatError: If the file is damaged, or an intensity is negative or beyond the scale.
+        FileFormatError: If the file is damaged, an intensity is negative or beyond the scale, or the points' times
+            cannot be told.
         DatasetError: If the suffix is unknown, x, y and z are missing, or all points lie beyond 10 km.
     """
-    from farfield.files.clouds import bin_columns as bin_columns_of
-    from farfield.files.clouds import names_of
+    columns = named_columns(path, read_columns(path, bin_columns=bin_columns), settings.row_names)
+    return _from_columns(path, columns, settings)
 
-    if path.suffix == ".pcd":
+
+Columns = Mapping[str, Shaped[np.ndarray, "..."]]
+
+
+def read_columns(path: Path, *, bin_columns: int | None = None) -> Columns | Shaped[np.ndarray, "n c"]:
+    """The columns of a cloud file by the names that it has for them, or its rows where it has none.
+
+    Args:
+        path: The file.
+        bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
+
+    Raises:
+        FileFormatError: If the file is damaged.
+        DatasetError: If the suffix is unknown.
+    """
+    from farfield.files.clouds import bin_columns as bin_columns_of
+
+    suffix = path.suffix.lower()
+    if suffix == ".pcd":
         from farfield.files.pcd import read_pcd
 
-        return _from_columns(path, read_pcd(path), intensity_scale)
-    if path.suffix == ".ffcloud":
+        return read_pcd(path)
+    if suffix == ".ffcloud":
         from farfield.files.clouds import read_cache
 
-        return _from_columns(path, read_cache(path), intensity_scale)
-    if path.suffix == ".bin":
+        return read_cache(path)
+    if suffix == ".bin":
         from farfield.files.clouds import read_bin
 
-        rows = read_bin(path, columns=bin_columns_of(path).count if bin_columns is None else bin_columns)
-    elif path.suffix == ".xyz":
-        rows = np.column_stack(read_rows(path, path.parent, columns=xyz_columns(path)))
-    elif path.suffix == ".npy":
+        count = bin_columns_of(path).count if bin_columns is None else bin_columns
+        return read_bin(path, columns=count, on_nan="keep")
+    if suffix == ".xyz":
+        return np.column_stack(read_rows(path, path.parent, columns=xyz_columns(path)))
+    if suffix == ".npy":
         rows = _read_npy(path)
-    else:
-        raise DatasetError(f"{path}: expected a cloud with suffix {', '.join(CLOUD_SUFFIXES)}")
-    return _from_columns(path, dict(zip(names_of(rows), rows.T, strict=True)), intensity_scale)
+        return rows if rows.dtype.names is None else {name: native(rows[name]) for name in rows.dtype.names}
+    raise DatasetError(f"{path}: expected a cloud with suffix {', '.join(CLOUD_SUFFIXES)}")
+
+
+def native(values: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
+    """Numbers in this machine's order of bytes, one after another in memory."""
+    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
+
+
+INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "signal")
+"""Names of the column that becomes the intensity, in lower case; the first that a cloud has is taken."""
+
+
+def named_columns(
+    path: Path | str,
+    columns: Columns | Shaped[np.ndarray, "n c"],
+    row_names: Mapping[int, tuple[str, ...]] | None = None,
+) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """Columns of a cloud under our names: ``X`` is x, ``reflectivity`` is the intensity, ``rgb`` of three rgb_0 to 2.
+
+    Args:
+        path: The file, for messages.
+        columns: By the file's names, each of shape (n,), or (n, count) where a point has several numbers; or rows.
+        row_names: Names of the columns of rows, by how many they are; None decides by the rows.
+
+    Raises:
+        FileFormatError: If a place or the intensity holds several numbers for each point.
+    """
+    from farfield.files.clouds import names_of
+
+    if isinstance(columns, np.ndarray):
+        names = (row_names or {}).get(columns.shape[1]) or names_of(points_of(path, columns))
+        return dict(zip(names, columns.T, strict=True))
+    lower = {name.lower(): name for name in reversed(list(columns))} | {
+        name: name for name in columns if name.islower()
+    }
+    ours = {lower[axis]: axis for axis in "xyz" if axis in lower}
+    strength = next((lower[name] for name in INTENSITY_NAMES if name in lower), None)
+    if strength is not None:
+        ours[strength] = "intensity"
+    split: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        own_name = ours.get(name, name)
+        if values.ndim == 1:
+            split[own_name] = values
+        elif own_name in ("x", "y", "z", "intensity"):
+            raise FileFormatError(
+                path,
+                where=f"field {name}",
+                expected="one number a point (COUNT 1)",
+                got=f"{values.shape[1:]} numbers",
+                fix="Write one of them as the field; the others as fields of their own.",
+            )
+        else:
+            rows = values.reshape(len(values), -1)
+            parts = {f"{name}_{element}": np.ascontiguousarray(column) for element, column in enumerate(rows.T)}
+            double = next((part for part in parts if part in columns), None)
+            if double is not None:
+                actual = f"field {double} and {rows.shape[1]} numbers of {name}"
+                raise FileFormatError(path, where=f"field {name}", expected="names that differ", got=actual)
+            split |= parts
+    return split
+
+
+def points_of(path: Path | str, rows: Shaped[np.ndarray, "n c"]) -> Shaped[np.ndarray, "m c"]:
+    """The rows that are points: see :func:`returned`."""
+    valid = returned(path, rows[:, :3])
+    return rows if valid.all() else rows[valid]
+
+
+def read_radar_rows(path: Path, columns: int) -> tuple[Float32[np.ndarray, "n columns"], int]:
+    """The points of a radar's ``.bin`` file and how many of its rows are none: see :func:`returned`.
+
+    Raises:
+        FileFormatError: If the file is damaged, or a number of a point is not finite.
+    """
+    from farfield.files.clouds import read_bin
+
+    rows = read_bin(path, columns=columns, on_nan="keep")
+    points = points_of(path, rows)
+    if not np.isfinite(points).all():
+        row, column = np.argwhere(~np.isfinite(points))[0]
+        raise FileFormatError(
+            path,
+            where=f"column {column + 1} of point {row}",
+            expected="finite numbers",
+            got=f"{points[row, column]}",
+            fix="The file is damaged: fetch it again, or leave the frame out.",
+        )
+    return points, len(rows) - len(points)
 
 
 def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
@@ -288,14 +479,17 @@ def cloud_of_rows(rows: Shaped[np.ndarray, "n c"]) -> Cloud:
 
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise ConfigError(f"expected rows of 3 or more numbers, got shape {rows.shape} of {rows.dtype}")
-    return _from_columns(Path("array"), dict(zip(names_of(rows), rows.T, strict=True)), None)
+    if not np.isfinite(rows[:, :3]).all():
+        row = int(np.argwhere(~np.isfinite(rows[:, :3]))[0][0])
+        raise DatasetError(f"array: expected finite coordinates, got {rows[row, :3].tolist()} in point {row}")
+    return _from_columns(Path("array"), dict(zip(names_of(rows), rows.T, strict=True)))
 
 
 def columns_shown(paths: Sequence[Path]) -> int | None:
     """Columns that the largest of some ``.bin`` files shows, None where it shows none: see ``bin_columns``."""
     from farfield.files.clouds import bin_columns as bin_columns_of
 
-    sizes = [(path.stat().st_size, path) for path in paths if path.suffix == ".bin"]
+    sizes = [(path.stat().st_size, path) for path in paths if path.suffix.lower() == ".bin"]
     if not sizes:
         return None
     _, largest = max(sizes, key=itemgetter(0))
@@ -306,11 +500,18 @@ def columns_shown(paths: Sequence[Path]) -> int | None:
     return columns.count if columns.likely else None
 
 
-def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
+def _read_npy(path: Path) -> Shaped[np.ndarray, "..."]:
+    check_itself(path)
     try:
         rows = np.load(path, allow_pickle=False, mmap_mode="r")  # the header's size is checked against the file's
     except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:  # numpy parses a Python literal
         raise DatasetError(f"{path}: expected a .npy file of numbers, found: {error}") from error
+    if rows.dtype.names is not None:  # fields by name, one row a point or organised in rows and columns
+        kinds = {name: rows.dtype[name].base for name in rows.dtype.names}
+        wrong = [name for name, kind in kinds.items() if kind.kind not in "fiub" or kind.names is not None]
+        if wrong:
+            raise DatasetError(f"{path}: expected fields of numbers, got {wrong[0]!r} of {rows.dtype[wrong[0]]}")
+        return np.array(rows).reshape(-1)
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise DatasetError(f"{path}: expected rows of at least 3 numbers, got shape {rows.shape} of {rows.dtype}")
     if rows.shape[1] > _MOST_COLUMNS >= rows.shape[0] >= 3:  # a row a quantity, not a row a point
@@ -319,47 +520,73 @@ def _read_npy(path: Path) -> Shaped[np.ndarray, "n c"]:
 
 
 def xyz_columns(path: Path) -> int | None:
-    """Columns of an ASCII cloud with fewer than Cirrus' five: three, or four; None leaves it to the reader."""
+    """Columns of an ASCII cloud, three or more; None leaves it to the reader, which names what is wrong."""
+    check_itself(path)
     with path.open("rb") as handle:
         first = handle.read(_LINE_BYTES).partition(b"\n")[0].decode("ascii", errors="replace")
     count = len(first.replace(";", " ").replace(",", " ").split())
-    return count if count in (3, 4) else None
+    return count if 3 <= count <= _MOST_COLUMNS else None
 
 
-def _from_columns(path: Path, columns: Mapping[str, np.ndarray], scale: float | None) -> Cloud:
-    missing = [name for name in "xyz" if name not in columns]
-    if missing:
-        raise DatasetError(f"{path}: expected columns x, y, z; missing {', '.join(missing)} of {', '.join(columns)}")
-    points = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float32)
-    valid = np.isfinite(points).all(axis=1)
-    if path.suffix == ".pcd" and not valid.all() and np.isnan(points[~valid]).any(axis=1).all():
-        returned = {name: value[valid] for name, value in columns.items()}  # NaN: nothing came back
-        return replace(_from_columns(path, returned, scale), missing=int((~valid).sum()))
+def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: CloudSettings = _OWN_SETTINGS) -> Cloud:
+    lacking = [name for name in "xyz" if name not in columns]
+    if lacking:
+        raise DatasetError(f"{path}: expected columns x, y, z; missing {', '.join(lacking)} of {', '.join(columns)}")
+    points = np.empty((len(columns["x"]), 3), dtype=np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite, and refused
+        for axis, name in enumerate("xyz"):
+            points[:, axis] = columns[name]
+    valid = returned(path, points)
     if not valid.all():
-        row = int(np.argwhere(~np.isfinite(points))[0][0])
-        raise DatasetError(f"{path}: expected finite coordinates, got {points[row].tolist()} in point {row}")
+        rest = {name: value[valid] for name, value in columns.items()}
+        return replace(_from_columns(path, rest, settings), missing=int((~valid).sum()))
     if len(points) and np.hypot(points[:, 0], points[:, 1]).min() > _NEAREST_M:
         raise DatasetError(
             f"{path}: expected metres from the sensor, got points of which the nearest lies "
             f"{np.hypot(points[:, 0], points[:, 1]).min():.4g} away: coordinates of a map (UTM, ECEF)? Subtract where "
             "the sensor stood, in float64."
         )
-    strength = np.asarray(columns.get("intensity", np.zeros(len(points))), dtype=np.float32)
-    if not np.isfinite(strength).all():
-        raise DatasetError(f"{path}: expected finite intensities, got some that are not")
-    scale = intensity_scale_of(float(strength.max(initial=0.0))) if scale is None else scale
-    if len(strength) and (strength.min() < 0 or strength.max() > scale * (1 + 1e-5)):
-        raise FileFormatError(
-            path,
-            where="the intensity column",
-            expected=f"values from 0 to {scale:g}",
-            got=f"{strength.min():g} to {strength.max():g}",
-            fix="Give the value that stands for full reflectance, such as intensity_scale=255, or fix the column.",
-        )
+    strength = np.asarray(columns.get("intensity", np.zeros(len(points), dtype=np.float32)))
+    scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
     extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
-    return Cloud(points, np.clip(strength / np.float32(scale), 0.0, 1.0), extra)
+    return Cloud(points, scaled_intensity(path, strength, scale), with_offsets(path, extra, settings))
 
 
-def intensity_scale_of(largest: float) -> float:
-    """Value that stands for full reflectance: the smallest of 1, 255 and 65535 that covers the largest intensity."""
-    return next((scale for scale in (1.0, 255.0, 65535.0) if largest <= scale * (1 + 1e-6)), largest)
+def returned(path: Path | str, points_m: Num[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which rows of a cloud are points: where nothing returned, sensors write NaN or 0, 0, 0, shape (n,).
+
+    Args:
+        path: The file, for messages.
+        points_m: x, y, z in the sensor's own coordinates, before they are moved anywhere.
+
+    Raises:
+        DatasetError: If a coordinate is infinite.
+    """
+    number_type = np.result_type(points_m.dtype, np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, y, z = (np.abs(points_m[:, axis].astype(number_type, copy=False)) for axis in range(3))
+        extent = x + y + z  # 0, or NaN, where nothing returned
+    if np.isinf(extent).any():
+        row = int(np.argmax(np.isinf(extent)))
+        raise DatasetError(f"{path}: expected finite coordinates, got {points_m[row].tolist()} in point {row}")
+    return extent > 0
+
+
+def with_offsets(
+    path: Path | str, extra: Mapping[str, Shaped[np.ndarray, " n"]], settings: CloudSettings
+) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """Further columns with the points' times, if there are any, as ``offset_ns``: int64 nanoseconds since the stamp.
+
+    Raises:
+        FileFormatError: If their unit or what they count from cannot be told.
+    """
+    name = None if settings.point_times == "none" else point_time_column(extra)
+    if name is None:
+        return dict(extra)
+    unit = None if settings.point_times == "auto" else settings.point_times
+    times = PointTimeColumn(
+        name, extra[name], path, settings.stamp_ns, settings.period_ns, usual_unit=settings.usual_unit
+    )
+    if unit is None and not times.are_times():
+        return dict(extra)
+    return {key: column for key, column in extra.items() if key != name} | {OFFSET_COLUMN: times.offsets_ns(unit)}

@@ -13,12 +13,13 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from farfield.errors import ConfigError, MissingCloudError
-from farfield.frame.annotation import Annotation
+from farfield.frame.annotation import Annotation, ImpossibleBoxError
 from farfield.frame.cloud import Cloud
 from farfield.frame.drive import Key
+from farfield.geometry.arrays import Locked, locked
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.geometry.poses import invert
+from farfield.geometry.poses import check_rigid, invert
 from farfield.registry import display_html
 
 Pose = Float[np.ndarray, "4 4"]
@@ -42,7 +43,7 @@ class Constant:
 
 
 class Lazy(Mapping[str, Any]):
-    """A read-only mapping whose values are loaded at the first access and then kept.
+    """A read-only mapping whose values are loaded at the first access and then kept; arrays are read-only too.
 
     It pickles if its loaders do (functools.partial of functions of a module, or :class:`Constant`); values that were
     loaded stay behind, so that frames travel light.
@@ -64,7 +65,7 @@ class Lazy(Mapping[str, Any]):
         if key not in self._loaders:
             raise KeyError(f"{key!r}; present: {', '.join(self._loaders) or 'nothing'}")
         if key not in self._loaded:
-            self._loaded[key] = self._loaders[key]()
+            self._loaded[key] = locked(self._loaders[key]())
         return self._loaded[key]
 
     def __contains__(self, key: object) -> bool:
@@ -84,7 +85,7 @@ class Lazy(Mapping[str, Any]):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sensor:
+class Sensor(Locked):
     """Where a cloud, an image or a radar product comes from.
 
     Args:
@@ -103,6 +104,9 @@ class Sensor:
     time_ns: int | None = None
     holds: tuple[str, ...] = ()
     shots: int | None = None
+
+    def __post_init__(self) -> None:
+        self.lock()
 
     def __repr__(self) -> str:
         position = "at an unknown place"
@@ -125,10 +129,11 @@ def camera_sensor(camera: Camera | None, time_ns: int | None = None) -> Sensor:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Frame:
+class Frame(Locked):
     """One moment of one drive: what the sensors gave, what was annotated, and how it was taken.
 
-    It pickles, and travels light: what loads when it is read is loaded again by the receiver.
+    Its arrays are read-only: a detector or a notebook that changes one makes a copy. It pickles, and travels light:
+    what loads when it is read is loaded again by the receiver.
 
     Args:
         sequence: Name of the drive or segment.
@@ -164,6 +169,9 @@ class Frame:
     indices: Mapping[str, int] = field(default_factory=dict)
     simulated: bool | None = None
     metadata: Lazy | Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.lock()
 
     @classmethod
     def of(
@@ -233,7 +241,10 @@ class Frame:
     @cached_property
     def annotation(self) -> Annotation | None:
         """What was annotated, loaded at the first access; None where nothing was: that is not "nothing there"."""
-        return None if self.load_annotation is None else self.load_annotation()
+        try:
+            return None if self.load_annotation is None else self.load_annotation()
+        except ImpossibleBoxError as error:
+            raise ImpossibleBoxError(f"frame {self.key}: {error}") from None
 
     @property
     def boxes(self) -> Boxes | None:
@@ -329,8 +340,9 @@ def transform_frame(frame: Frame, target_T_frame: Pose, *, reference: str | None
             sensor still stands at the origin, else it gets a ``'``: the coordinates are no longer its.
 
     Raises:
-        ConfigError: If ``reference`` names a sensor that would not stand at the origin.
+        ConfigError: If the motion is no rigid one, or ``reference`` names a sensor that would not stand at the origin.
     """
+    check_rigid(target_T_frame, "transform_frame")
     frame_T_target = invert(target_T_frame)
     sensors = {name: sensor.moved(target_T_frame) for name, sensor in frame.sensors.items()}
     return replace(

@@ -20,6 +20,8 @@ from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from farfield.errors import ConfigError
 from farfield.files.boxes_csv import columns_of, fields_of, read_fields, rows_of, write_fields
+from farfield.geometry.arrays import Locked
+from farfield.geometry.poses import check_rigid
 from farfield.registry import display_html, named
 
 _CORNER_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) / 2.0
@@ -48,8 +50,10 @@ def _alike(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Boxes:
+class Boxes(Locked):
     """A set of n oriented 3D boxes with labels and, where known, scores, track ids and point counts.
+
+    Its arrays are read-only; :meth:`replace` gives boxes with others.
 
     Args:
         centre_m: Box centres x, y, z in metres, shape (n, 3).
@@ -92,6 +96,7 @@ class Boxes:
         if n and not (self.size_m > 0).all():
             row = int(np.argwhere(~(self.size_m > 0))[0][0])
             raise ValueError(f"Boxes.size_m: expected positive sizes, got {self.size_m[row]} in row {row}")
+        self.lock()
 
     def _store(self, name: str, value: Any, dtype: Any, shape: tuple[int, ...], *, nan: bool = False) -> None:
         values = np.asarray(value)
@@ -276,7 +281,11 @@ class Boxes:
 
         The heading is the target's yaw of the moved x axis; roll and pitch of the pose move the centres only, because
         a box has none. Velocities turn with the boxes; of a velocity without z what leaves the x-y plane is lost.
+
+        Raises:
+            ConfigError: If it is no rigid motion.
         """
+        check_rigid(target_T_source, "Boxes.transform")
         rotation = np.asarray(target_T_source, dtype=np.float64)[:3, :3]
         heading = np.stack([np.cos(self.yaw_rad), np.sin(self.yaw_rad), np.zeros(len(self))], 1) @ rotation.T
         centre = self.centre_m @ rotation.T + np.asarray(target_T_source)[:3, 3]

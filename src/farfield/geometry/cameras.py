@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
+from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.poses import transform_points
 
@@ -19,7 +20,7 @@ _NO_DISTORTION = np.zeros(5)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Camera:
+class Camera(Locked):
     """A calibrated camera.
 
     Args:
@@ -35,6 +36,9 @@ class Camera:
     camera_T_lidar: Float[np.ndarray, "4 4"] = field(default_factory=lambda: CAMERA_T_LIDAR_AXES.copy())
     width_px: int = 0
     height_px: int = 0
+
+    def __post_init__(self) -> None:
+        self.lock()
 
     def project(
         self, points_m: Float[np.ndarray, "n 3"], *, min_depth_m: float = 0.1

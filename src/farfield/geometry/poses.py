@@ -3,6 +3,39 @@
 import numpy as np
 from jaxtyping import Float
 
+from farfield.errors import ConfigError
+
+_NOT_ORTHONORMAL = 1e-3  # what calibrations of few digits leave; a longer scale moves a box at 250 m by 0.1 m
+_LAST_ROW, _EYE = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
+
+
+def check_rigid(target_T_source: Float[np.ndarray, "4 4"], what: str) -> None:
+    """Refuse what is no rigid motion: boxes and clouds would be mirrored, stretched or lost.
+
+    Args:
+        target_T_source: The motion.
+        what: Who takes it, for the message.
+
+    Raises:
+        ConfigError: If it has a number that is not finite, a scale, shear or mirror, or a last row that is not 0 0 0 1.
+    """
+    pose = np.asarray(target_T_source, dtype=np.float64)
+    fault = ""
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        fault = "numbers that are not finite" if pose.shape == (4, 4) else f"shape {pose.shape}"
+    elif np.abs(pose[3] - _LAST_ROW).max() > 1e-6:
+        fault = f"the last row {pose[3].tolist()}"
+    elif np.abs(pose[:3, :3] @ pose[:3, :3].T - _EYE).max() > _NOT_ORTHONORMAL:
+        fault = f"axes of length {np.round(np.linalg.norm(pose[:3, :3], axis=0), 4).tolist()}, or not at right angles"
+    elif np.linalg.det(pose[:3, :3]) < 0:
+        fault = "a mirror: its determinant is -1"
+    if fault:
+        raise ConfigError(
+            f"{what}: expected a rigid motion (a rotation and a translation in metres, 4 x 4, last row 0 0 0 1), got "
+            f"{fault}. Take the scale or mirror out of the matrix, or apply it to points and boxes before they are "
+            "made into a frame"
+        )
+
 
 def pose(rotation: Float[np.ndarray, "3 3"], translation_m: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
     """Build a pose from a rotation matrix and a translation in metres."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import ConfigError
+from farfield.files.sizes import room, sized
 from farfield.jobs.folders import locked, sweep_out
 from farfield.jobs.journal import JobJournal, Mark, mark_of, state_of
 from farfield.jobs.process import check, one_thread
@@ -306,7 +307,7 @@ def fitting(workers: int, each_bytes: int, *, exactly: bool, available: int | No
     fit = int(free // each_bytes)
     if fit < workers and exactly:
         raise BulkError(
-            f"--workers {workers}: expected {workers * each_bytes / 1e9:.1f} GB of free memory, {each_bytes / 1e9:.1f} "
-            f"GB a worker, found {free / 1e9:.1f} GB. {f'--workers {fit} fits' if fit else 'Close other programs'}."
+            f"--workers {workers}: expected memory for {workers} of {sized(each_bytes)} each: "
+            f"{room(workers * each_bytes, free)}. {f'--workers {fit} fits' if fit else 'Close other programs'}."
         )
     return max(1, min(workers, fit))

@@ -16,12 +16,14 @@ from farfield.files.boxes_csv import BoxRows, read_boxes_csv
 from farfield.files.coordinates import read_coordinates
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
 from farfield.files.nuscenes import read_results_in
+from farfield.files.stand_ins import check_itself
 from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import upright_from_camera
 from farfield.metrics.detections import Detections
-from farfield.metrics.sanity import beyond_a_turn, sanity_warnings, wild_headings
+from farfield.metrics.result import labels_fingerprint
+from farfield.metrics.sanity import beyond_a_turn, wild_headings
 
 _Details = dict[Key, dict[str, np.ndarray]]
 FORMATS = ("boxes-csv", "kitti", "kitti-tracking", "nuscenes")
@@ -59,14 +61,16 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         if predicted_path is not None:
             read(predicted, predicted_path, stem)
     _share_sequence(predicted, annotated, notes)
+    facts = _seen_from_the_car(predicted, annotated, notes) if format == "nuscenes" else {}
+    fingerprint = labels_fingerprint({key: Annotation(boxes=boxes) for key, boxes in annotated.boxes.items()})
     _add_empty_frames(predicted.boxes, annotated.boxes, notes)
     if predicted.without_score:
         notes.append(f"{predicted.without_score} predictions have no score; each counts with score 1")
     if annotated.scored_rows and predicted.without_score:
         notes.append("the labels have scores and the predictions have none: are the two files exchanged?")
+    notes += _mappings_beside(Path(predictions), Path(labels))
     for word, side in (("predicted", predicted), ("annotated", annotated)):
         notes += wild_headings(word, *side.headings)
-    notes += sanity_warnings(predicted.boxes, annotated.boxes)
     _name_coordinates(predicted, Path(predictions), reference)
     _name_coordinates(annotated, Path(labels), reference)
     return Detections(
@@ -74,8 +78,10 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         boxes=predicted.boxes,
         annotations={key: _annotation(boxes, annotated.details.get(key, {})) for key, boxes in annotated.boxes.items()},
         prediction_details={key: _split_details(columns)[0] for key, columns in predicted.details.items()},
+        facts=facts,
+        labels_fingerprint=fingerprint,
         notes=tuple(notes),
-    )
+    ).with_oddities()
 
 
 def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", reference: str = "") -> Detections:
@@ -130,6 +136,7 @@ class _SideBoxes:
     scored_rows: int = 0
     headings: tuple[int, int] = (0, 0)  # beyond a turn, of how many
     reference: str = ""
+    ego_m: dict[Key, np.ndarray] = field(default_factory=dict)
 
     def stands_in(self, path: Path, reference: str) -> None:
         """Note the coordinates that a file names."""
@@ -197,6 +204,42 @@ def _files(folder: Path) -> dict[str, Path]:
     if not path_of:
         raise ConfigError(f"{folder}: expected .txt, .csv or .json files, found none")
     return path_of
+
+
+def _mappings_beside(*paths: Path) -> list[str]:
+    """A note on each mapping.yaml that stands beside the files: it is that of a data set's folder, and not read."""
+    folders = dict.fromkeys(path if path.is_dir() else path.resolve().parent for path in paths)
+    return [
+        f"{folder / name}: a mapping of classes belongs to a data set's folder and is not read with files of boxes; "
+        "--options relabel=NAME:CLASS,... says the same"
+        for folder in folders
+        for name in ("mapping.yaml", "mapping.yml")
+        if (folder / name).is_file()
+    ]
+
+
+_IN_THE_WORLD_M = 1000.0  # half of the boxes farther away than this do not stand in a sensor's coordinates
+
+
+def _seen_from_the_car(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> dict[str, str]:
+    """Move boxes of the world to where the car is the origin, if either side says where it stood.
+
+    Returns:
+        That ranges are not known, where it does not and the boxes lie far from the origin.
+    """
+    ego_m = {**predicted.ego_m, **annotated.ego_m}
+    keys = {key for side in (predicted, annotated) for key, boxes in side.boxes.items() if len(boxes)}
+    if ego_m and keys <= set(ego_m):
+        for side in (predicted, annotated):
+            for key, boxes in side.boxes.items():
+                if len(boxes):
+                    side.boxes[key] = boxes.replace(centre_m=boxes.centre_m - ego_m[key])
+        notes.append("boxes stand in the world; ranges are those from the car, by ego_translation")
+        return {}
+    range_m = [boxes.range_m for boxes in annotated.boxes.values() if len(boxes)]
+    if range_m and float(np.median(np.concatenate(range_m))) > _IN_THE_WORLD_M:
+        return {"ranges": "not known"}
+    return {}
 
 
 def _share_sequence(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> None:
@@ -304,6 +347,7 @@ def _read_kitti(side: _SideBoxes, path: Path, stem: str) -> None:
 
 
 def _read_kitti_tracking(side: _SideBoxes, path: Path, stem: str) -> None:
+    check_itself(path)
     with path.open("rb") as handle:
         commas = b"," in handle.readline(4096)
     tracks: KittiTracks = read_detections(path) if commas else read_tracking(path)
@@ -338,6 +382,8 @@ def _read_nuscenes(side: _SideBoxes, path: Path, stem: str) -> None:
             velocity_m_s=sample.velocity_m_s,
         )
         side.add(path, ("", token), boxes)
+        if sample.ego_m is not None:
+            side.ego_m["", token] = sample.ego_m
 
 
 def _split(side: _SideBoxes, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:

@@ -11,6 +11,7 @@ from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.metrics.detections import Protocol, protocol_of
 from farfield.metrics.result import Subject, at, figure_names, subject_of, table, value_at
+from farfield.metrics.result_json import check_parts, check_result
 from farfield.vocabulary.conditions import CONDITIONS
 
 Tree = Mapping[str, Any]
@@ -149,34 +150,14 @@ def _read(path: Path) -> dict[str, Tree]:
         raise FileFormatError(path, where="the text", expected="JSON", got=plain(error)) from None
     inner = tree.get("results") if isinstance(tree, dict) else None
     results = inner if isinstance(inner, dict) and "protocol" not in tree else {"": tree}
-    for name, beside in (tree.get("parts") or {}).items() if isinstance(tree, dict) and results is inner else ():
-        if isinstance(results.get(name), dict) and isinstance(beside, dict) and "conditions" in beside:
-            results[name] = {"conditions": beside["conditions"], **results[name]}
-    for result in results.values():
-        _check(path, result)
-        for class_result in (result.get("labels") or {}).values():
-            _check(path, class_result)
+    if isinstance(tree, dict) and results is inner:
+        check_parts(tree, path)
+        for name, beside in (tree.get("parts") or {}).items():
+            if isinstance(results.get(name), dict) and "conditions" in beside:
+                results[name] = {"conditions": beside["conditions"], **results[name]}
+    for name, result in results.items():
+        check_result(result, path, ("results", name) if results is inner else ())
     return results
-
-
-def _check(path: Path, result: Any) -> None:
-    good = (
-        isinstance(result, dict)
-        and isinstance(result.get("protocol"), str)
-        and isinstance(result.get("settings"), dict)
-        and isinstance(result.get("labels") or {}, dict)
-        and isinstance(result.get("counts") or {}, dict)
-    )
-    if not good:
-        raise FileFormatError(
-            path,
-            where="the top",
-            expected="a result with protocol and settings",
-            got=f"{type(result).__name__} with {', '.join(map(str, result))[:80]}"
-            if isinstance(result, dict)
-            else type(result).__name__,
-            fix="Write it with farfield score --json or farfield evaluate.",
-        )
 
 
 def _tables(members: list[ComparedResult], *, figures: Sequence[str], by: str, separate: bool) -> list[str]:
@@ -234,7 +215,10 @@ def _footer(members: list[ComparedResult], letters: Mapping[str, str], *, by_ran
 def _data(entry: ComparedResult) -> tuple[Any, Any]:
     counts = entry.tree.get("counts") or {}
     mine = at(counts, ("classes", entry.label)) or counts
-    return counts.get("frames_given"), mine.get("annotated")
+    frames = counts.get("frames_given", counts.get("frames"))  # tracking's protocols count all frames alike
+    if frames is None and entry.subject is not None:
+        frames = entry.subject.frames
+    return frames, mine.get("annotated")
 
 
 def _conventions(members: list[ComparedResult], *, by_range: bool, separate: bool) -> list[str]:

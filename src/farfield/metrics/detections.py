@@ -8,7 +8,7 @@ by its name, lets it complete its settings, evaluates the frames that count, and
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any, ClassVar, TypeVar
@@ -23,10 +23,19 @@ from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.frames import BoxesByFrame, labels_of
-from farfield.metrics.options import option_text
+from farfield.metrics.options import check_numbers, merged_relabel, option_text
 from farfield.metrics.presenting import Presentation, Presenter
-from farfield.metrics.result import Result, Subject, figure_names, labels_fingerprint, region_words, value_at
-from farfield.metrics.sanity import strange_classes
+from farfield.metrics.result import (
+    Result,
+    Subject,
+    figure_names,
+    labels_fingerprint,
+    region_words,
+    value_at,
+    without_lone_intervals,
+    without_ranges,
+)
+from farfield.metrics.sanity import class_notes, sanity_warnings
 from farfield.registry import PluginError, Registry
 from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class
 
@@ -115,6 +124,7 @@ class Protocol(ABC):
             raise ConfigError(f"{self}: expected options among {expected}; got {', '.join(unknown)}")
         edges_and_weights = {name: options[name] for name in _NUMBERS if options.get(name) is not None}
         options |= {name: tuple(map(float, values)) for name, values in edges_and_weights.items()}
+        options = self.with_own_relabel(options)
         if "label" in self.options() and options.get("label") is None:
             options = {name: value for name, value in options.items() if name != "label"}
             present = self.labels(detections.annotated, **options)
@@ -123,8 +133,16 @@ class Protocol(ABC):
             options |= {"label": next((name for name in present if name in detected), present[0])} if present else {}
         return self.Settings(**options)
 
+    def with_own_relabel(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Options whose ``relabel`` is added to the protocol's own; see :func:`merged_relabel`."""
+        chosen = options.get("relabel") if "relabel" in self.options() else None
+        if chosen is None:
+            return dict(options)
+        return {**options, "relabel": merged_relabel(getattr(self.Settings(), "relabel", None) or {}, chosen)}
+
     def labels(self, boxes: BoxesByFrame, **options: Any) -> tuple[str, ...]:
         """Classes that can be scored, the most frequent first: relabelled ones as one, ignored ones left out."""
+        options = self.with_own_relabel(options)
         chosen = {name: options[name] for name in ("relabel", "ignore") if name in options and name in self.options()}
         default = self.Settings(**chosen)
         names = (name for name, _ in labels_of(boxes, getattr(default, "relabel", {})))
@@ -181,6 +199,7 @@ class Protocol(ABC):
 
 def relabel_of(protocol: Protocol, options: Mapping[str, Any]) -> Mapping[str, str]:
     """Which class names a protocol counts as others, under the settings that are given."""
+    options = protocol.with_own_relabel(options)
     chosen = {name: options[name] for name in ("relabel",) if name in options and name in protocol.options()}
     relabel: Mapping[str, str] = getattr(protocol.Settings(**chosen), "relabel", None) or {}
     return relabel
@@ -295,6 +314,7 @@ class Detections:
         fingerprint: SHA-256 of the data's files.
         labels_fingerprint: SHA-256 of the annotated boxes as the data has them; unless given, of the annotations here.
         seen_in_training: What is known of the detector having learnt from these frames, in words.
+        checked: Whether the notes say already what is odd about the boxes, see :attr:`oddities`.
     """
 
     boxes: BoxesByFrame
@@ -315,6 +335,7 @@ class Detections:
     fingerprint: str = ""
     labels_fingerprint: str = ""
     seen_in_training: str = "not known"
+    checked: bool = False
 
     def __repr__(self) -> str:
         boxes = sum(map(len, self.boxes.values()))
@@ -325,6 +346,15 @@ class Detections:
         """The annotated boxes by frame."""
         return MappedView(self.annotations, attrgetter("boxes"))
 
+    @cached_property
+    def oddities(self) -> tuple[str, ...]:
+        """What is odd about the boxes, one sentence each: see :mod:`farfield.metrics.sanity`."""
+        return tuple(sanity_warnings(self.boxes, self.annotated))
+
+    def with_oddities(self) -> "Detections":
+        """The same with a note on each oddity."""
+        return self if self.checked else replace(self, notes=(*self.notes, *self.oddities), checked=True)
+
     def replaced(self, boxes: BoxesByFrame) -> "Detections":
         """The same with other boxes, as a tracker gives them."""
         return replace(self, boxes=boxes, prediction_details={})
@@ -333,7 +363,7 @@ class Detections:
         """Score the boxes.
 
         Frames without annotation do not count, nor do boxes outside the region that was annotated. A range bin that
-        begins beyond the detector's reach has no figure. The result's notes say so.
+        begins beyond the detector's reach has no figure. The result's notes say so, and what is odd about the boxes.
 
         Args:
             protocol: Its name, such as ``"dds"`` or ``"kradar-compat:rtnh_wide"``, or the object.
@@ -344,7 +374,8 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         counted = self.counted()
-        return self._described(counted.evaluated(chosen, chosen.settings(counted, **settings)))
+        result = self._described(counted.evaluated(chosen, chosen.settings(counted, **settings)))
+        return self._with_relabel_notes(result, settings)
 
     def score_each(self, protocol: str | Protocol = "dds", **settings: Any) -> list[Result]:
         """Score every annotated class, each for itself, the most frequent first; or that of ``label`` alone.
@@ -354,7 +385,22 @@ class Detections:
         """
         chosen = PROTOCOLS[protocol] if isinstance(protocol, str) else protocol
         counted = self.counted()
-        return [self._described(counted.evaluated(chosen, one)) for one in chosen.each(counted, **settings)]
+        results = [self._described(counted.evaluated(chosen, one)) for one in chosen.each(counted, **settings)]
+        return [self._with_relabel_notes(result, settings) for result in results]
+
+    def _with_relabel_notes(self, result: Result, settings: Mapping[str, Any]) -> Result:
+        """The result with a note on the classes that count as others although the relabel given names them not."""
+        relabel = settings.get("relabel")
+        if not relabel:
+            return result
+        merged = result.settings.get("relabel") or {}
+        present = {name for side in (self.annotated, self.boxes) for name, _ in labels_of(side, {})}
+        own = {old: new for old, new in merged.items() if old not in relabel and old in present and old != new}
+        notes = [
+            f"{old} counts as {new} too, as the protocol has it (relabel={old}:{old} keeps it apart)"
+            for old, new in own.items()
+        ]
+        return replace(result, notes=(*result.notes, *notes))
 
     def _described(self, result: Result) -> Result:
         """The result with its subject, and with notes on classes and regions in which nothing can be found."""
@@ -376,7 +422,8 @@ class Detections:
             seen_in_training=self.seen_in_training,
         )
         relabel = result.settings.get("relabel") or {}
-        notes = [] if self.classes else strange_classes(self.boxes, self.annotated, relabel)
+        notes = [] if self.checked else list(self.oddities)
+        notes += class_notes(self.boxes, self.annotated, relabel, with_strange=not self.classes)
         annotated = sum(count for name, count in labels_of(self.annotated, relabel) if name == result.label)
         if counted == 0 and annotated:
             notes.append(
@@ -389,6 +436,11 @@ class Detections:
     def paired(self) -> int:
         """Number of frames that have both predicted and annotated boxes."""
         return sum(key in self.boxes and len(boxes) > 0 < len(self.boxes[key]) for key, boxes in self.annotated.items())
+
+    def shared_classes(self, relabel: Mapping[str, str]) -> set[str]:
+        """Classes that predicted and annotated boxes have both, once ``relabel`` has named them."""
+        predicted, annotated = ({name for name, _ in labels_of(side, relabel)} for side in (self.boxes, self.annotated))
+        return predicted & annotated
 
     def check_label(self, protocol: str | Protocol, label: str | None = None, **options: Any) -> None:
         """Refuse a class that no annotated box bears or that the detector does not know: figures would be null or 0.
@@ -434,7 +486,10 @@ class Detections:
 
     def evaluated(self, protocol: Protocol, settings: Any) -> Result:
         """Evaluate detections that count (see :meth:`counted`) with the settings of a protocol."""
-        result = protocol.evaluate(self, settings)
+        check_numbers(settings)
+        result = without_lone_intervals(protocol.evaluate(self, settings))
+        if self.facts.get("ranges") == "not known":
+            result = without_ranges(result)
         convention = result.convention or protocol.convention_text(result.settings)
         noted = replace(result, convention=convention, notes=(*self.notes, *result.notes))
         return _within_reach(noted, self.reach_m)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -15,6 +15,37 @@ def check_range_bins(edges_m: tuple[float, ...]) -> None:
     rising = all(low < high for low, high in pairwise(edges_m))
     if len(edges_m) < 2 or not rising or edges_m[0] < 0:
         raise ConfigError(f"range_bins_m: expected two or more rising edges from 0 on, got {edges_m}")
+
+
+def check_numbers(settings: Any) -> None:
+    """Raise ConfigError if a setting holds NaN, or an infinity that is no edge of a range or window."""
+    for field in fields(settings) if is_dataclass(settings) else ():
+        value = getattr(settings, field.name)
+        if is_dataclass(value):
+            check_numbers(value)
+        for number in value if isinstance(value, tuple) else (value,):
+            is_open = field.name in _OPEN and number in (math.inf, -math.inf)
+            if isinstance(number, float) and not math.isfinite(number) and not is_open:
+                raise ConfigError(f"{field.name}: expected finite numbers, got {value}. Nothing compares with {number}")
+
+
+_OPEN = ("range_bins_m", "window_m", "region")
+
+
+def merged_relabel(own: Mapping[str, str], chosen: Mapping[str, str]) -> dict[str, str]:
+    """Names that count as others: those that were chosen, and the protocol's own, seen through them.
+
+    A name that is chosen for itself stays apart; an empty mapping leaves nothing of the protocol's own.
+
+    >>> merged_relabel({"large_vehicle": "vehicle"}, {"Lorry": "large_vehicle"})
+    {'large_vehicle': 'vehicle', 'Lorry': 'vehicle'}
+    >>> merged_relabel({"large_vehicle": "vehicle"}, {"vehicle": "Car"})
+    {'large_vehicle': 'Car', 'vehicle': 'Car'}
+    """
+    if not chosen:
+        return {}
+    through = {old: chosen.get(new, new) for old, new in own.items()}
+    return through | {old: new if new in chosen else through.get(new, new) for old, new in chosen.items()}
 
 
 def json_options(options: Mapping[str, Any]) -> dict[str, Any]:

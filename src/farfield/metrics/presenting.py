@@ -5,14 +5,14 @@ of its own has the plain one, which shows every figure under its name.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, plain
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
 
@@ -224,6 +224,31 @@ def curve_line(name: str, curve: Any, titles: Sequence[str] = ()) -> CurveLine |
             "Score the predictions again."
         )
     return CurveLine(name, recall, precision)
+
+
+def curve_level(node: Any, where: str) -> Mapping[str, Any]:
+    """One level of a result's curves; empty where nothing is annotated.
+
+    Raises:
+        ConfigError: If something else stands there.
+    """
+    if node is None:
+        return {}
+    if not isinstance(node, Mapping):
+        raise ConfigError(f"result, curves {where}: expected an object of curves. Score the predictions again.")
+    return node
+
+
+def by_number(names: Iterable[str], where: str) -> list[str]:
+    """Names of distances, overlaps or epsilons, by rising number.
+
+    Raises:
+        ConfigError: If a name is no number.
+    """
+    try:
+        return sorted(names, key=float)
+    except ValueError as error:
+        raise ConfigError(f"result, {where}: expected numbers as names, {plain(error)}. Score again.") from None
 
 
 def edges_m(result: Mapping[str, Any]) -> tuple[float, ...]:

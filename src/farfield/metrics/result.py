@@ -111,8 +111,8 @@ def subject_of(result: Mapping[str, Any]) -> Subject | None:
 def labels_fingerprint(annotations: Mapping[Key, Annotation]) -> str:
     """SHA-256 over the annotated boxes: frames, classes, and places, sizes and headings to a millimetre or milliradian.
 
-    Unlike the fingerprint of a data set it does not depend on files: labels that were moved without a change of a
-    file's size differ in it.
+    The order of a frame's boxes does not bear on it. Unlike the fingerprint of a data set it does not depend on
+    files: labels that were moved without a change of a file's size differ in it.
     """
     return digest_of((key, annotations[key]) for key in sorted(annotations, key=frame_order))
 
@@ -122,9 +122,10 @@ def digest_of(annotations: Iterable[tuple[Key, Annotation]]) -> str:
     digest = hashlib.sha256()
     for key, annotation in annotations:
         boxes = annotation.boxes
-        digest.update("\0".join((*key, *map(str, np.asarray(boxes.label).tolist()))).encode() + b"\n")
-        for values in (boxes.centre_m, boxes.size_m, boxes.yaw_rad):
-            digest.update(np.rint(np.asarray(values, dtype=np.float64) * 1e3).astype(np.int64).tobytes())
+        rows = np.rint(np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]) * 1e3).astype(np.int64)
+        order = np.lexsort((np.unique(boxes.label, return_inverse=True)[1].reshape(-1), *rows.T))
+        digest.update("\0".join((*key, *np.asarray(boxes.label)[order].tolist())).encode() + b"\n")
+        digest.update(rows[order].tobytes())
     return digest.hexdigest()
 
 
@@ -263,6 +264,41 @@ class Result:
         lines += [f"note: {note}" for note in self.notes]
         lines = lines if self.subject is None else [f"of: {self.subject}", *lines]
         return "\n".join(textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
+
+
+def without_lone_intervals(result: R) -> R:
+    """The result without intervals of parts in which one object is annotated: no drawing varies it, found or not."""
+    ranges = result.counts.get("ranges") or {}
+    counted = {"overall": result.counts, **(ranges if isinstance(ranges, Mapping) else {})}
+    lone = [part for part, counts in counted.items() if _annotated(counts) == 1 and any(_spans(result, part))]
+    if not lone:
+        return result
+    lone += ["mean_of_bins"] if "overall" in lone and "mean_of_bins" in result.intervals else []
+    blank = {part: dict.fromkeys(result.intervals[part]) for part in lone}
+    where = ", ".join("the whole" if part == "overall" else f"{part} m" for part in lone if part != "mean_of_bins")
+    note = f"no intervals of {where}: there is one annotated object, and a figure of one object is no average"
+    return replace(result, intervals={**result.intervals, **blank}, notes=(*result.notes, note))
+
+
+def without_ranges(result: R) -> R:
+    """The result of boxes that stand in the world, at no known distance from a sensor."""
+    note = (
+        "the boxes stand in the coordinates of the world, so nothing says how far they are from the sensor: there are "
+        "no figures by range. Give ego_translation beside translation in one of the files, or boxes in a sensor's "
+        "coordinates"
+    )
+    blank = result.without(list(result.ranges))
+    return replace(blank, mean_of_bins=dict.fromkeys(blank.mean_of_bins), notes=(*result.notes, note))
+
+
+def _annotated(counts: Any) -> int | None:
+    """Annotated boxes of a part, of all of its classes or difficulties together."""
+    value = counts.get("annotated") if isinstance(counts, Mapping) else None
+    return value if isinstance(value, int) else max(value.values(), default=0) if isinstance(value, Mapping) else None
+
+
+def _spans(result: Result, part: str) -> list[list[float]]:
+    return [span for span in result.intervals.get(part, {}).values() if span]
 
 
 def nest(named: Mapping[str, Any]) -> dict[str, Any]:

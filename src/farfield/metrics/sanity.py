@@ -1,26 +1,25 @@
 """What is odd about the boxes of a file: units, headings, scores, classes; said beside the score, never fixed.
 
-:func:`diagnose_box_convention` looks for predicted boxes that would fit the annotated ones if their columns meant
-something else: axes, frames, sizes, yaw. It tries the same readings as the doctor does on points, here against the
-annotated boxes. Nothing is changed: a reading that fits far better is named.
+What lies in how predicted and annotated boxes stand to each other is looked at in :mod:`farfield.metrics.readings` and
+:mod:`farfield.metrics.residuals`.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Float
 
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.frames import BoxesByFrame, frame_order
-from farfield.vocabulary.classes import closest_class, unit_of_sizes
+from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.readings import diagnose_box_convention, nearest_rows
+from farfield.vocabulary.classes import closest_class, normalised_class, unit_of_sizes
 
 _TURN = 2 * np.pi
 _FEW = 0.05  # share of headings beyond a turn that a tracker's unwrapping may leave
 _FASTEST_M_S = 40.0
 _FARTHEST_M = 1_500.0
+_MANY = 30  # boxes of a side from which on a share says something
 
 
 def sanity_warnings(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[str]:
@@ -35,11 +34,155 @@ def sanity_warnings(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[st
     doubled = sum(_doubled(boxes) for boxes in predicted.values())
     if doubled > 0.3 * len(sides["predicted"]):
         notes.append(f"{doubled} of {len(sides['predicted'])} predicted boxes stand there twice: one file in another?")
+    else:
+        notes += _overlapping(predicted, annotated)
+    twice = sum(_doubled(boxes) for boxes in annotated.values())
+    if twice > 0.02 * len(sides["annotated"]):
+        notes.append(
+            f"{twice} of {len(sides['annotated'])} annotated boxes stand there twice, and one of each two counts as "
+            "missed: one file in another?"
+        )
+    notes += _without_entry(predicted, annotated)
     notes += [*_scores(sides["predicted"]), *fast(predicted, "predicted"), *fast(annotated, "annotated")]
     if _same(predicted, annotated):
         notes.append("predictions and labels are the same boxes: is one file given for both?")
         return notes
+    notes += [*_repeated(predicted, annotated), *_without_boxes(predicted, annotated)]
+    if len(sides["predicted"]) >= _MANY <= len(sides["annotated"]):
+        notes += [*_written(**sides), *_one_side(**sides), *_order_of_scores(predicted, annotated)]
     return [*notes, *diagnose_box_convention(predicted, annotated)]
+
+
+def _without_entry(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]:
+    """A note on the annotated frames that no line of predictions names, where some do."""
+    filled = [key for key in annotated if len(annotated[key])]
+    lacking = [key for key in filled if key not in predicted]
+    if lacking and len(lacking) < len(filled):
+        yield (
+            f"{len(lacking)} of {len(filled)} frames with annotated boxes have no predictions at all, such as "
+            f"{' '.join(filter(None, lacking[0]))}: their {sum(len(annotated[key]) for key in lacking)} boxes count as "
+            "missed. Were they detected in?"
+        )
+
+
+def _without_boxes(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]:
+    """A note where frames have no predicted box although others as full have many."""
+    filled = [key for key in annotated if len(annotated[key]) and key in predicted]
+    bare = [key for key in filled if not len(predicted[key])]
+    others = [key for key in filled if len(predicted[key])]
+    if not others or len(bare) < max(2, 0.05 * len(filled)):
+        return
+    usual = float(np.median([len(predicted[key]) for key in others]))
+    as_full = np.median([len(annotated[key]) for key in bare]) >= 0.5 * np.median(
+        [len(annotated[key]) for key in others]
+    )
+    if usual >= _USUAL and as_full:
+        yield (
+            f"{len(bare)} of {len(filled)} frames with annotated boxes have no predicted box, such as "
+            f"{' '.join(filter(None, bare[0]))}, and the others {usual:g} (median): were all of them detected in?"
+        )
+
+
+_USUAL = 5
+
+
+def _repeated(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]:
+    """A note on frames whose predicted boxes are another frame's to the digit, where the annotated ones differ."""
+    first_of: dict[tuple[str, bytes], Key] = {}
+    pairs = []
+    filled = [key for key, boxes in predicted.items() if len(boxes) > 1 and len(annotated.get(key, ()))]
+    for key in filled:
+        first = first_of.setdefault((key[0], _places(predicted[key]).tobytes()), key)
+        if first != key and not np.array_equal(_places(annotated[first]), _places(annotated[key])):
+            pairs.append((first, key))
+    if len(pairs) >= max(2, 0.05 * len(filled)):
+        first, key = (" ".join(filter(None, name)) for name in pairs[0])
+        yield (
+            f"{len(pairs)} of {len(filled)} frames have the predicted boxes of another frame to the digit, such as "
+            f"{key} those of {first}, where the annotated boxes differ: was one frame's result written for several?"
+        )
+
+
+def _overlapping(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]:
+    """A note where many predicted boxes stand within a better one of their class, and annotated ones do not."""
+    counts = {}
+    for name, side in (("predicted", predicted), ("annotated", annotated)):
+        inside, total = 0, 0
+        for boxes in list(side.values())[:_MOST_FRAMES]:
+            rows = np.arange(len(boxes)) if boxes.score is None else np.argsort(-boxes.score, kind="stable")
+            rows = rows[:_MOST_BOXES]
+            x, y = boxes.centre_m[rows, :2].T
+            near = np.hypot(x[:, None] - x, y[:, None] - y) < boxes.size_m[rows, :2].min(axis=1)[:, None]
+            label = np.asarray(boxes.label)[rows]
+            inside += int((np.tril(near, -1) & (label[:, None] == label)).any(axis=1).sum())
+            total += len(rows)
+        counts[name] = (inside, total)
+    inside, total = counts["predicted"]
+    share_of_annotated = counts["annotated"][0] / max(counts["annotated"][1], 1)
+    if total >= _MANY and inside > (0.2 + share_of_annotated) * total:
+        yield (
+            f"{inside} of {total} predicted boxes stand within a better one of their class, less than a width from its "
+            "middle: without suppression (NMS), or several sweeps' boxes in one frame?"
+        )
+
+
+_MOST_FRAMES, _MOST_BOXES = 200, 300
+
+
+def _written(*, predicted: Boxes, annotated: Boxes) -> Iterator[str]:
+    """Notes on columns that hold one number or whole numbers, where the annotated ones do not."""
+    columns = {
+        name: (one, other)
+        for name, one, other in zip(_COLUMNS, _places(predicted).T, _places(annotated).T, strict=True)
+    }
+    whole = [
+        name
+        for name, (one, other) in columns.items()
+        if np.ptp(one) > 0 and np.mean(one == np.rint(one)) > 0.95 and np.mean(other == np.rint(other)) < 0.5
+    ]
+    if whole:
+        yield f"the predicted {', '.join(whole)} are whole numbers, and the annotated ones are not: were they rounded?"
+    single = [name for name, (one, other) in columns.items() if np.ptp(one) == 0 and np.ptp(other) > 0.1]
+    if single:
+        yield f"all predicted boxes have one {', one '.join(single)}, and the annotated ones do not: was it predicted?"
+
+
+_COLUMNS = ("x", "y", "z", "length", "width", "height", "heading")
+
+
+def _one_side(*, predicted: Boxes, annotated: Boxes) -> Iterator[str]:
+    """A note where a half of the surroundings has annotated boxes and no predicted one."""
+    for words, axis, sign in (("ahead", 0, 1), ("behind", 0, -1), ("to the left", 1, 1), ("to the right", 1, -1)):
+        share = float((sign * annotated.centre_m[:, axis] > 1).mean())
+        if share > 0.1 and not (sign * predicted.centre_m[:, axis] > 1).any():
+            yield (
+                f"no predicted box lies {words} of the sensor, where {share:.0%} of the annotated ones do: was the "
+                "detector given that side? They count as missed"
+            )
+
+
+def _order_of_scores(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]:
+    """A note where boxes near an annotated one have no higher scores than the others."""
+    near_scores, other_scores = [np.zeros(0)], [np.zeros(0)]
+    for key, boxes in list(predicted.items())[:_MOST_FRAMES]:
+        if boxes.score is None or key not in annotated:
+            continue
+        is_near = np.zeros(len(boxes), dtype=bool)
+        is_near[nearest_rows(boxes.centre_m, _places(annotated[key]))[0]] = True
+        near_scores.append(boxes.score[is_near])
+        other_scores.append(boxes.score[~is_near])
+    near, other = np.concatenate(near_scores), np.sort(np.concatenate(other_scores))
+    if min(len(near), len(other)) < _MANY or np.ptp(near) == np.ptp(other) == 0:
+        return
+    below = (np.searchsorted(other, near, "left") + np.searchsorted(other, near, "right")) / 2
+    share = float(below.mean()) / len(other)
+    deviation = np.sqrt((len(near) + len(other) + 1) / (12 * len(near) * len(other)))
+    if share < 0.5 - 2 * deviation or (share < 0.53 and deviation < 0.025):
+        yield (
+            f"of a predicted box that lies on an annotated one and another that does not, the first has the higher "
+            f"score in {share:.0%} of the pairs, where chance gives 50%: are scores confidences, and not a distance, a "
+            "variance or a class's number?"
+        )
 
 
 def _joined(parts: Iterable[Boxes]) -> Boxes:
@@ -69,6 +212,10 @@ def _scores(boxes: Boxes) -> Iterator[str]:
     low, high = float(boxes.score.min()), float(boxes.score.max())
     if low < 0 or high > 1:
         yield f"scores go from {low:.3g} to {high:.3g}, not from 0 to 1: cuts by score (score_cut) do not fit them"
+    values = np.unique(boxes.score)
+    if len(boxes) >= _MANY and len(values) in (2, 3):
+        shown = ", ".join(f"{value:g}" for value in values)
+        yield f"the {len(boxes)} predictions have {len(values)} scores ({shown}): a curve has so few points; rounded?"
     if len(boxes) >= 10 and low == high:
         yield f"all {len(boxes)} predictions have one score, {low:g}: without an order a curve has a single point"
 
@@ -93,9 +240,8 @@ def beyond_a_turn(yaw_rad: Float[np.ndarray, " n"]) -> int:
 
 def _doubled(boxes: Boxes) -> int:
     """Boxes that are equal to an earlier one of the frame."""
-    rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]) if len(boxes) else np.zeros((0, 7))
-    labels = np.unique(np.asarray(boxes.label), return_inverse=True)[1]
-    return len(boxes) - len(np.unique(np.column_stack([rows, labels.reshape(-1)]), axis=0))
+    labels = np.asarray(boxes.label).tolist()
+    return len(boxes) - len({(label, row.tobytes()) for label, row in zip(labels, _places(boxes), strict=True)})
 
 
 def _same(predicted: BoxesByFrame, annotated: BoxesByFrame) -> bool:
@@ -127,6 +273,52 @@ def fast(boxes: BoxesByFrame, side: str) -> list[str]:
     ]
 
 
+def class_notes(
+    predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: Mapping[str, str], *, with_strange: bool
+) -> list[str]:
+    """Notes on the classes of both sides.
+
+    Args:
+        predicted: Predicted boxes.
+        annotated: Annotated boxes.
+        relabel: Names that count as others.
+        with_strange: Whether to name predicted classes that no label has: not where a detector says what it knows.
+    """
+    notes = strange_classes(predicted, annotated, relabel) if with_strange else []
+    return [*notes, *split_classes(predicted, annotated, relabel), *confused_classes(predicted, annotated, relabel)]
+
+
+def confused_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: Mapping[str, str]) -> list[str]:
+    """A note on each class whose boxes lie on those of another: on another's number, exchanged, or taken for one."""
+    counts: dict[tuple[str, str], int] = {}
+    for key in list(annotated)[:_MOST_FRAMES]:
+        if key not in predicted:
+            continue
+        rows, columns = nearest_rows(predicted[key].centre_m, _places(annotated[key]), _SAME_PLACE_M)
+        names = [np.asarray(predicted[key].label)[rows].tolist(), np.asarray(annotated[key].label)[columns].tolist()]
+        for ours, theirs in zip(*names, strict=True):
+            pair = (relabel.get(ours, ours), relabel.get(theirs, theirs))
+            counts[pair] = counts.get(pair, 0) + 1
+    notes = []
+    for (ours, theirs), count in counts.items():
+        of_ours = sum(number for pair, number in counts.items() if pair[0] == ours)
+        of_theirs = sum(number for pair, number in counts.items() if pair[1] == theirs)
+        if ours == theirs or count < _LEAST_PAIRS:
+            continue
+        if count > 0.8 * of_ours:
+            notes.append(
+                f"{count} of {of_ours} predicted {ours} near an annotated box lie on {theirs}: are classes exchanged, "
+                f"or numbered otherwise? --options relabel={ours}:{theirs} counts them as it"
+            )
+        elif count > 0.8 * of_theirs and count > 0.2 * of_ours:
+            notes.append(f"{count} of {of_theirs} annotated {theirs} near a predicted box are predicted as {ours}")
+    return notes
+
+
+_LEAST_PAIRS = 10
+_SAME_PLACE_M = 1.0
+
+
 def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: Mapping[str, str]) -> list[str]:
     """A note on predicted classes that no annotated box has, with what they may be meant for.
 
@@ -149,6 +341,31 @@ def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: M
     ]
 
 
+def split_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: Mapping[str, str]) -> list[str]:
+    """A note on each side that has two names for what seems to be one class, such as Car and vehicle.
+
+    Args:
+        predicted: Predicted boxes.
+        annotated: Annotated boxes.
+        relabel: Names that count as others.
+    """
+    notes = []
+    for side, counts in (("predicted", _named(predicted, relabel)), ("annotated", _named(annotated, relabel))):
+        for ours in dict.fromkeys(normalised_class(name, {}) for name in counts):
+            names = [name for name in counts if normalised_class(name, {}) == ours != "unknown"]
+            plain = {name.lower() for name in names}
+            if len(names) < 2 or not (ours in plain or len(plain) < len(names)):
+                continue  # a truck and a bus are both large vehicles, and two classes
+            main = next((name for name in names if name == ours), max(names, key=lambda name: counts[name]))
+            pairs = ",".join(f"{name}:{main}" for name in names if name != main)
+            shown = " and ".join(f"{name} ({counts[name]})" for name in names)
+            notes.append(
+                f"{side} boxes are {shown}, which may be one class by two names, scored apart: "
+                f"--options relabel={pairs}"
+            )
+    return notes
+
+
 def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:
     counts: dict[str, int] = {}
     for part in boxes.values():
@@ -156,152 +373,3 @@ def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:
             name = relabel.get(str(name), str(name))
             counts[name] = counts.get(name, 0) + 1
     return counts
-
-
-# Readings of the columns under which far more boxes would fit
-
-_NEAR_M = 2.0
-_MOST_FRAMES = 200
-_LEAST = 10  # pairs that may decide
-_LONG = 1.5  # times as long as wide: then a heading can be seen
-
-Points = Float[np.ndarray, "n 3"]
-
-
-class _PairedBoxes(NamedTuple):
-    """Predicted and annotated boxes that lie at one place, row by row: centre, size, heading."""
-
-    predicted: Float[np.ndarray, "n 7"]
-    annotated: Float[np.ndarray, "n 7"]
-
-
-def diagnose_box_convention(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[str]:
-    """One sentence for each reading under which far more predicted boxes fit.
-
-    Args:
-        predicted: Boxes by (sequence, frame).
-        annotated: Boxes by the same.
-    """
-    keys = sorted((key for key in annotated if len(annotated[key])), key=frame_order)
-    keys = keys[:: max(1, -(-len(keys) // _MOST_FRAMES))]
-    annotated_rows = {key: _rows(annotated[key]) for key in keys}
-    predicted_rows = {key: _rows(predicted[key]) if key in predicted else np.zeros((0, 7)) for key in keys}
-    total = sum(map(len, predicted_rows.values()))
-    pairs = _paired(predicted_rows, annotated_rows)
-    as_read = len(pairs.predicted)
-    best, most = "", 0
-    for reading, change in _PLACES.items():
-        count = _count({key: change(rows[:, :3]) for key, rows in predicted_rows.items()}, annotated_rows)
-        best, most = (reading, count) if count > most else (best, most)
-    for step, reading in ((1, "the next frame's"), (-1, "the frame's before")):
-        count = _count(_shifted(predicted, keys, step), annotated_rows)
-        if count > most:
-            best, most = f"each frame's boxes were {reading}: frames numbered off by one", count
-    if most >= _LEAST and most > 2 * as_read + 5 and most > 0.3 * min(total, sum(map(len, annotated_rows.values()))):
-        return [f"{as_read} of {total} predicted boxes lie within 2 m of an annotated one; {most} would if {best}"]
-    return [*_of_pairs(pairs)] if as_read >= _LEAST else []
-
-
-def _rows(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
-    return np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).astype(np.float64)
-
-
-def _ordered(order: Sequence[int], signs: Sequence[float], points: Points) -> Points:
-    return points[:, list(order)] * np.array(signs)
-
-
-_PLACES: Mapping[str, Callable[[Points], Points]] = {
-    "y pointed left: they are mirrored": partial(_ordered, (0, 1, 2), (1.0, -1.0, 1.0)),
-    "they were turned by half a turn": partial(_ordered, (0, 1, 2), (-1.0, -1.0, 1.0)),
-    "they were turned by 90 degrees counter-clockwise": partial(_ordered, (1, 0, 2), (-1.0, 1.0, 1.0)),
-    "they were turned by 90 degrees clockwise": partial(_ordered, (1, 0, 2), (1.0, -1.0, 1.0)),
-    "they were taken from a camera's axes (x right, y down, z ahead)": partial(_ordered, (2, 0, 1), (1.0, -1.0, -1.0)),
-    "their positions were divided by 100: centimetres": partial(_ordered, (0, 1, 2), (0.01, 0.01, 0.01)),
-    "their positions were divided by 1000: millimetres": partial(_ordered, (0, 1, 2), (0.001, 0.001, 0.001)),
-}
-
-
-def _shifted(predicted: BoxesByFrame, keys: Sequence[Key], step: int) -> dict[Key, Points]:
-    """The centres of the frames before or after, in the order of their names; none across sequences."""
-    every = sorted({*predicted, *keys}, key=frame_order)
-    index_of = {key: number for number, key in enumerate(every)}
-    centres: dict[Key, Points] = {}
-    for key in keys:
-        number = index_of[key] + step
-        other = every[number] if 0 <= number < len(every) else None
-        near = other is not None and other[0] == key[0] and other in predicted
-        centres[key] = predicted[other].centre_m if near and other is not None else np.zeros((0, 3))
-    return centres
-
-
-def _nearest(predicted: Points, annotated: Float[np.ndarray, "m 7"]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of predicted boxes near an annotated one, each of these taken once, and which it is."""
-    if not len(predicted) or not len(annotated):
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    gap = np.hypot(*(predicted[:, None, axis] - annotated[None, :, axis] for axis in (0, 1)))
-    best = gap.argmin(axis=0)  # for each annotated box the nearest prediction
-    near = np.flatnonzero(gap[best, np.arange(len(annotated))] < _NEAR_M)
-    rows, first = np.unique(best[near], return_index=True)
-    return rows, near[first]
-
-
-def _count(predicted: Mapping[Key, Points], annotated: Mapping[Key, np.ndarray]) -> int:
-    return sum(len(_nearest(points, annotated[key])[0]) for key, points in predicted.items())
-
-
-def _paired(predicted: Mapping[Key, np.ndarray], annotated: Mapping[Key, np.ndarray]) -> _PairedBoxes:
-    nearest = [(rows, annotated[key], *_nearest(rows[:, :3], annotated[key])) for key, rows in predicted.items()]
-    left = [rows[chosen] for rows, _, chosen, _ in nearest]
-    right = [rows[chosen] for _, rows, _, chosen in nearest]
-    empty = np.zeros((0, 7))
-    return _PairedBoxes(np.concatenate([empty, *left]), np.concatenate([empty, *right]))
-
-
-def _of_pairs(pairs: _PairedBoxes) -> Iterator[str]:
-    predicted, annotated = pairs
-    share = (predicted[:, 2] - annotated[:, 2]) / annotated[:, 5]
-    middle, spread = float(np.median(share)), float(np.subtract(*np.percentile(share, [75, 25])))
-    if abs(abs(middle) - 0.5) < 0.15 and spread < 0.4:
-        side = "bottom" if middle < 0 else "top"
-        yield f"predicted boxes stand half their height off the annotated ones: z is a box's middle, not its {side}"
-    ratio = np.median(predicted[:, 3:6] / annotated[:, 3:6], axis=0)
-    for factor, amount in ((0.5, "half"), (2.0, "twice")):
-        if (np.abs(ratio / factor - 1) < 0.2).all():
-            yield f"predicted sizes are {amount} the annotated ones on all three sides: l, w, h are full sizes"
-    long = annotated[:, 3] > _LONG * annotated[:, 4]
-    if np.count_nonzero(long) < _LEAST:
-        return
-    predicted, annotated = predicted[long], annotated[long]
-    as_read = np.abs(np.log(predicted[:, 3:5] / annotated[:, 3:5])).sum(axis=1)
-    swapped = np.abs(np.log(predicted[:, 4:2:-1] / annotated[:, 3:5])).sum(axis=1)
-    if np.median(swapped) < 0.4 < np.median(as_read):
-        yield "predicted boxes fit the annotated ones with length and width exchanged: l is the side along the heading"
-        return
-    yield from _headings(predicted[:, 6], annotated[:, 6])
-
-
-_YAWS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
-    "counted clockwise (it is counter-clockwise from +x)": np.negative,
-    "given in degrees (it is in radians)": np.deg2rad,
-    "multiplied by pi/180 once too often": np.rad2deg,
-    "off by 90 degrees": partial(np.add, np.pi / 2),
-    "counted clockwise from +y, like a compass or a camera's rotation_y": partial(np.subtract, np.pi / 2),
-}
-
-
-def _headings(predicted: Float[np.ndarray, " n"], annotated: Float[np.ndarray, " n"]) -> Iterator[str]:
-    """Median error of the headings modulo half a turn, as read and as they may be meant."""
-    if _apart(predicted, annotated) < 0.3:
-        return
-    fits = {words: _apart(change(predicted), annotated) for words, change in _YAWS.items()}
-    best = min(fits, key=lambda words: fits[words])
-    if fits[best] < 0.15:
-        yield (
-            f"predicted headings differ from the annotated ones by {np.rad2deg(_apart(predicted, annotated)):.0f} "
-            f"degrees (median), by {np.rad2deg(fits[best]):.0f} if yaw is {best}"
-        )
-
-
-def _apart(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> float:
-    gap = np.mod(a - b, np.pi)
-    return float(np.median(np.minimum(gap, np.pi - gap)))

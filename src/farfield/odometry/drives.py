@@ -40,7 +40,6 @@ _VERSION = 1
 # The sweeps of a drive, read one by one, with the time of each point where it is known
 
 Turning = Literal["no", "clockwise", "counterclockwise"]
-_OFFSETS = ("offset_ns", "time_ns")  # columns of clouds: since the frame's time
 _MOVED = ("argoverse2",)  # formats whose points have times, and were moved to the sweep's moment
 _TICK_S = 1e-4  # a car at 40 m/s moves 4 mm
 
@@ -108,19 +107,13 @@ class DriveSweeps:
     def _offsets_s(self, cloud: Cloud, points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"] | None:
         if not self.settings.deskew:
             return None
-        column = next((name for name in _OFFSETS if name in cloud.extra), None)
         if self.settings.turning != "no":
             sign = -1 if self.settings.turning == "clockwise" else 1
             offset = sign * np.arctan2(points_m[:, 1], points_m[:, 0]) / (2 * np.pi) * self.period_s
-        elif column is None or self.data.unwrapped.name in _MOVED:
+        elif self.data.unwrapped.name in _MOVED or (measured := cloud.offsets_s()) is None:
             return None
         else:
-            offset = cloud.extra[column].astype(np.float64) * 1e-9
-        if len(offset) and np.abs(offset).max() > 1:
-            raise ConfigError(
-                f"odometry: expected points measured within a second of their sweep, got {np.abs(offset).max():g} s; "
-                "pass --no-deskew to take them as they are"
-            )
+            offset = measured
         return np.round(offset / _TICK_S) * _TICK_S
 
 

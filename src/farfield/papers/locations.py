@@ -9,6 +9,7 @@ from typing import Any
 
 from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
+from farfield.files.sizes import sized
 from farfield.jobs.runs import Progress
 from farfield.papers.grid import ExperimentGrid, SimulatedSet
 from farfield.simulation.recording import RecordingSummary, record
@@ -117,7 +118,7 @@ def simulation_needed(locations: Iterable[DataLocation]) -> str:
             recording = simulate(location.simulated, location.path, dry_run=True).recording
             frames += sum(recording.plan)
             size += bytes_needed(recording, sum(recording.plan))
-    return f"{frames} simulated frames, at most {size / 1e9:.2f} GB" if frames else "no frame to simulate"
+    return f"{frames} simulated frames, at most {sized(size)}" if frames else "no frame to simulate"
 
 
 def simulate(simulated: SimulatedSet, path: Path, **options: Any) -> RecordingSummary:

@@ -184,7 +184,17 @@ def cells_of_cube(
         cube: Power in file units, -1 outside the field of view, as ``products.zyx_cube`` returns it.
         region: A region or its name.
         doppler_m_s: Mean velocity of each cell, as ``products.doppler_cube`` returns it.
+
+    Raises:
+        ConfigError: If power is not finite, or negative inside the field of view.
     """
+    least, largest = cube.min(), cube.max()
+    negative = (cube < 0) & (cube != OUTSIDE) if least < 0 else np.zeros(1, dtype=np.bool_)
+    if not np.isfinite(least) or not np.isfinite(largest) or negative.any():
+        raise ConfigError(
+            f"radar cube: expected finite power of 0 or more, or {OUTSIDE:g} outside the field of view; got {least:g} "
+            f"to {largest:g}. The data are damaged: leave the frame out."
+        )
     parts = find_region(region).slices()
     inside = cube[parts]
     position = np.nonzero(inside > OUTSIDE)

@@ -1,7 +1,7 @@
 """Where a recording's stamps stand: lists of a known form, KITTI raw's folders, or a data set that we read."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -31,12 +31,15 @@ class StampSource:
         labels: The messages' names in their order; None: counted from 0.
         note: How the stamps are read, in words, where that was guessed or is not obvious.
         arrived_ns: When each message was recorded, by the clock of the computer, where both are known, shape (n,).
+        sensor: Whose messages these are, where a message has several stamps (start, middle and end of a turn), each a
+            stream of its own: a row of one is that row of the others. Empty where a stream stands for itself.
     """
 
     blocks: Callable[[], Iterator[Int64[np.ndarray, " _"]]]
     labels: Sequence[str] | None = None
     note: str = ""
     arrived_ns: Int64[np.ndarray, " n"] | None = None
+    sensor: str = ""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,7 +96,9 @@ def _kitti_raw(root: Path, unit: Unit) -> list[RecordedStreams]:
         part = path.stem.removeprefix("timestamps").lstrip("_")
         name = path.parent.name + (f"/{part}" if part else "")
         if (stamps := recognise_stamps(path, unit=unit)) is not None:
-            drives.setdefault(path.parent.parent, {})[name] = _source(stamps, path.parent / "data")
+            drives.setdefault(path.parent.parent, {})[name] = replace(
+                _source(stamps, path.parent / "data"), sensor=path.parent.name
+            )
     return [
         RecordedStreams(name=folder.resolve().name, streams=streams, logs=_logs(folder))
         for folder, streams in drives.items()

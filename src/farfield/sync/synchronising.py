@@ -203,12 +203,18 @@ def synchronise(
     every = -(-streams[reference].count // MAX_PAIRS)
     gathered = {name: _PairAccumulator(every) for name in others}
     ordered = {name: recording.streams[name].blocks() for name in streams}
+    leaders = _leaders(recording, streams, reference)
+    followers = {name: np.concatenate(list(recording.streams[name].blocks())) for name in leaders}
     for rows in match_blocks(ordered, reference=reference, tolerance_ns=tolerances):
+        _follow(rows, others, reference, leaders, followers)
         for column, name in enumerate(others):
             gathered[name].add(rows, column, streams[name])
         if row is not None:
             row(others, rows)
-    pairs = {name: _pair(gathered[name], streams[reference], streams[name], tolerances[name]) for name in others}
+    pairs = {
+        name: _pair(gathered[name], streams[reference], streams[name], tolerances[name], leaders.get(name, ""))
+        for name in others
+    }
     findings = _findings(recording, streams, reference, pairs, tolerances)
     return SyncResult(
         name=recording.name,
@@ -221,6 +227,34 @@ def synchronise(
     )
 
 
+def _leaders(recording: RecordedStreams, streams: Mapping[str, StreamStats], reference: str) -> dict[str, str]:
+    """Streams whose messages are those of another one, row by row, and that other: the reference or a main stream."""
+    leaders = {}
+    for name, source in recording.streams.items():
+        of_sensor = [other for other in streams if source.sensor and recording.streams[other].sensor == source.sensor]
+        main = source.sensor if source.sensor in of_sensor else next(iter(of_sensor), name)
+        leader = reference if reference in of_sensor else main
+        if leader != name and streams[leader].count == streams[name].count:
+            leaders[name] = leader
+    return {name: leader for name, leader in leaders.items() if name != reference}
+
+
+def _follow(
+    rows: MatchBlock,
+    others: Sequence[str],
+    reference: str,
+    leaders: Mapping[str, str],
+    followers: Mapping[str, Int64[np.ndarray, " _"]],
+) -> None:
+    """Give streams that follow another the partner's row of that one; writes into the rows."""
+    for name, leader in leaders.items():
+        column = others.index(name)
+        index = rows.reference_index if leader == reference else rows.index[:, others.index(leader)]
+        later_ns = followers[name][np.maximum(index, 0)] - rows.reference_ns
+        rows.index[:, column] = index
+        rows.residual_ns[:, column] = np.where(index >= 0, later_ns, 0)
+
+
 def _tolerance(own: StreamStats, other: StreamStats, tolerance_ns: int | None) -> int:
     if tolerance_ns is not None:
         return tolerance_ns
@@ -228,11 +262,18 @@ def _tolerance(own: StreamStats, other: StreamStats, tolerance_ns: int | None) -
     return -(-min(periods) // 2) if periods else 0
 
 
-def _pair(gathered: _PairAccumulator, own: StreamStats, other: StreamStats, tolerance_ns: int) -> StreamPair:
+def _pair(
+    gathered: _PairAccumulator, own: StreamStats, other: StreamStats, tolerance_ns: int, leader: str
+) -> StreamPair:
     none = np.zeros(0, dtype=np.int64)
     times = np.concatenate([none, *(gathered.times or [])])
     residual = np.concatenate([none, *(gathered.residuals or [])])
-    clock, untold = _clock(times, residual, own, other)
+    if leader:
+        clock, untold = None, f"stamps of one sensor's messages, matched row by row as {leader}: one clock, no drift"
+    elif len(residual) and not residual.any():
+        clock, untold = None, "the same stamps as the reference's: one clock, no drift"
+    else:
+        clock, untold = _clock(times, residual, own, other)
     rows = own.count - own.duplicates - own.backwards
     return StreamPair(
         tolerance_ns=tolerance_ns,
@@ -294,6 +335,13 @@ def _findings(
         possible = min(pair.matched + pair.lost, streams[name].count)
         if name not in alone and pair.matched < 0.9 * possible:
             findings.append(f"{name}: {pair.matched} pairs with {reference}, where {possible} would be possible")
+    for name, source in recording.streams.items():
+        main = source.sensor
+        if main and main != name and main in streams and streams[main].count != streams[name].count:
+            findings.append(
+                f"{name}: {streams[name].count} and {streams[main].count} stamps of the same messages of {main}; rows "
+                "are missing, so they are matched by time"
+            )
     for name, health in streams.items():
         if health.duplicates:
             findings.append(f"{name}: {health.duplicates} stamps stand there twice")

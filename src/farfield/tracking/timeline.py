@@ -76,6 +76,36 @@ def assumption_notes(drives: Sequence[Timeline], *, seconds: bool, ego_motion: b
     return notes
 
 
+def unreported_note(
+    drives: Sequence[Timeline], *, boxes: int, reported: int, min_hits: int, unsure_hits: int, sure_score: float | None
+) -> list[str]:
+    """That a track needs matches before it is reported, where many detections are in none or drives are short.
+
+    Args:
+        drives: The drives.
+        boxes: Number of detections.
+        reported: Number of boxes of reported tracks.
+        min_hits: As of :class:`farfield.tracking.presets.TrackerSettings`.
+        unsure_hits: Likewise.
+        sure_score: Likewise.
+    """
+    needed = max(min_hits, unsure_hits if sure_score is not None else 1)
+    shortest = min((len(drive.keys) for drive in drives), default=0)
+    missing = boxes - reported
+    if needed <= 1 or missing <= 0 or (shortest >= 2 * needed and 2 * missing <= boxes):
+        return []
+    hits = f"{min_hits} hits (min_hits)"
+    options = ["-o min_hits=1"] if min_hits > 1 else []
+    if sure_score is not None and unsure_hits > 1:
+        hits += f", with scores below {sure_score:g} {unsure_hits} hits (unsure_hits)"
+        options.append("-o unsure_hits=1")
+    short = f", and the shortest drive has {shortest} frames" if shortest < 2 * needed else ""
+    return [
+        f"{missing} of {boxes} detections are in no reported track: a track needs {hits}{short}; "
+        f"{' '.join(options)} reports every one"
+    ]
+
+
 def _with_missing_numbers(keys: list[Key]) -> tuple[Key, ...]:
     """Keys of a sequence with those of the whole numbers that are missing between 0 and the last."""
     names = [frame for _, frame in keys]

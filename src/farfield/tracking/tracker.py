@@ -31,7 +31,7 @@ from farfield.tracking.kalman import (
     update_doppler,
 )
 from farfield.tracking.presets import TrackerSettings, preset
-from farfield.tracking.timeline import Timeline, assumption_notes, is_number, timelines
+from farfield.tracking.timeline import Timeline, assumption_notes, is_number, timelines, unreported_note
 
 _TICK_S = 1e-6  # sums of steps are no exact multiples
 
@@ -86,6 +86,14 @@ def track(
     in_image = any("box_px" in details for details in detections.prediction_details.values())
     notes = assumption_notes(
         drives, seconds=settings.time == "seconds", ego_motion=settings.ego_motion, step_s=settings.step_s
+    )
+    notes += unreported_note(
+        drives,
+        boxes=sum(map(len, detections.boxes.values())),
+        reported=sum(map(len, boxes.values())),
+        min_hits=settings.min_hits,
+        unsure_hits=settings.unsure_hits,
+        sure_score=settings.sure_score,
     )
     return replace(
         detections,

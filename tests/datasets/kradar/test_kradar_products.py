@@ -89,7 +89,7 @@ def test_every_bit_of_a_cube_survives(tmp_path: Path, rng: np.random.Generator, 
 
 
 def test_every_bit_of_numpy_products_survives(tmp_path: Path, rng: np.random.Generator) -> None:
-    polar, sparse = rng.normal(0, 1, POLAR_SHAPE).astype(np.float32), rng.normal(0, 1, (70, 4))
+    polar, sparse = rng.random(POLAR_SHAPE, dtype=np.float32), rng.random((70, 4))
     for product, values in (("polar3d", polar), ("sparse", sparse), ("sparse", sparse[:0])):
         write_radar(tmp_path / "a.npy", product, values)
         back = read_radar(tmp_path / "a.npy", product)

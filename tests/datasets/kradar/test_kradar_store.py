@@ -53,7 +53,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
         1: {"tesseract": whole},
         2: {"cube": zyx_cube(moments(whole).mean_power)},
         3: {"polar3d": polar3d(whole)},
-        4: {"sparse": rng.normal(0, 30, (50, 4))},
+        4: {"sparse": np.abs(rng.normal(0, 30, (50, 4)))},
     }
     writer = KRadarWriter(root, columns=512)
     for number, radar in contents.items():

@@ -1,24 +1,35 @@
 """ROS 2 bags as frames: one a message of the reference cloud, with the nearest of each other topic."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float32, Int64, Shaped, UInt8
+from jaxtyping import Bool, Int64, Shaped, UInt8
 
 from farfield.datasets.bags.transforms import Transforms
 from farfield.datasets.base import Dataset, Indices, Poses, all_poses
-from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError
 from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
+from farfield.files.intensities import intensity_scale_of, scaled_intensity
+from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_times, point_time_column
 from farfield.files.sensor_messages import read_points, read_ros_compressed, read_ros_image
 from farfield.frame import Cloud, Frame, Lazy, Sensor, camera_sensor
+from farfield.frame.cloud import (
+    CloudSettings,
+    named_columns,
+    returned,
+    with_offsets,
+)
 
 CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
 COMPRESSED, IMU = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu"
 _KINDS = (CLOUD, IMAGE, COMPRESSED)
+_LOOKED_AT = 5
+Columns = dict[str, Shaped[np.ndarray, " n"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +43,7 @@ class Messages:
         repeat: Which of those recorded at the same moment each is, shape (n,).
         frame_id: Name of its coordinates, by its first message.
         radar: Whether it is a radar's cloud.
-        limit: Intensity that is taken as 1.
+        settings: How its clouds are read.
     """
 
     topic: Topic
@@ -41,7 +52,7 @@ class Messages:
     repeat: Int64[np.ndarray, " n"]
     frame_id: str
     radar: bool
-    limit: float | None
+    settings: CloudSettings
 
     def nearest(self, time_ns: int, tolerance_ns: int) -> int | None:
         """Place of the message nearest in time, the earlier of two; None beyond the tolerance."""
@@ -57,11 +68,21 @@ class IndexedBag:
     Args:
         path: The bag.
         stamp: Which stamps count.
-        intensity_max: Intensity that is taken as 1; None decides by the first cloud.
+        intensity_scale: Value that stands for full reflectance; None decides by some clouds of each topic.
+        point_times: Unit of the points' times.
+        radars: Topics of radars; None decides by names and columns.
     """
 
-    def __init__(self, path: Path, stamp: str, intensity_max: float | None) -> None:
-        self.bag, self.stamp, self.intensity_max = Bag(path), stamp, intensity_max
+    def __init__(
+        self,
+        path: Path,
+        stamp: str,
+        intensity_scale: float | int | None,
+        point_times: PointTimes,
+        radars: Sequence[str] | None = None,
+    ) -> None:
+        self.bag, self.stamp, self.radars = Bag(path), stamp, radars
+        self.intensity_scale, self.point_times = intensity_scale, point_times
         self.transforms = Transforms(self.bag)
 
     @property
@@ -82,18 +103,50 @@ class IndexedBag:
         first_of_equal = np.searchsorted(log, log, side="left")
         order = np.argsort(times, kind="stable")
         message = self.bag.at(topic.name, int(log[0]))
-        columns = read_points(message, self.bag.path) if topic.kind == CLOUD else {}
+        repeat = np.arange(len(log)) - first_of_equal
+        rows = np.unique(np.linspace(0, len(log) - 1, _LOOKED_AT).astype(int)) if topic.kind == CLOUD else []
+        samples = [] if not len(rows) else [self._columns(topic, int(log[0]), 0)]
+        for row in rows[1:]:
+            with suppress(FarfieldError):  # a damaged one is reported when it is read
+                samples.append(self._columns(topic, int(log[row]), int(repeat[row])))
+        steps = np.diff(times[order])
         with guarded(self.bag.path, f"the header of {topic.name}"):
             frame_id = str(message.header.frame_id)
         return Messages(
             topic=topic,
             times_ns=times[order],
             log_ns=log[order],
-            repeat=(np.arange(len(log)) - first_of_equal)[order],
+            repeat=repeat[order],
             frame_id=frame_id,
-            radar=is_radar(columns),
-            limit=intensity_limit(columns) if self.intensity_max is None else self.intensity_max,
+            radar=self._is_radar(topic, samples[0] if samples else {}),
+            settings=self._settings(samples, float(np.median(steps[steps > 0])) if (steps > 0).any() else None),
         )
+
+    def _columns(self, topic: Topic, log_ns: int, repeat: int) -> Columns:
+        return named_columns(self.bag.path, read_points(self.bag.at(topic.name, log_ns, repeat), self.bag.path))
+
+    def _settings(self, samples: Sequence[Columns], period_ns: float | None) -> CloudSettings:
+        """One full scale and one unit of times for all clouds of a topic."""
+        scale, unit = self.intensity_scale, None
+        if scale is None:
+            strengths = [columns["intensity"][_has_place(columns)] for columns in samples if "intensity" in columns]
+            scale = intensity_scale_of(strengths)
+        for columns in samples if self.point_times == "auto" else ():
+            name = point_time_column(columns)
+            if unit is None and name is not None:
+                with suppress(FileFormatError):  # reported when the cloud is read
+                    times = columns[name][_has_place(columns)]
+                    unit = PointTimeColumn(name, times, self.bag.path, None, period_ns).unit()
+        return CloudSettings(intensity_scale=scale, point_times=self.point_times, usual_unit=unit, period_ns=period_ns)
+
+    def _is_radar(self, topic: Topic, columns: Columns) -> bool:
+        """Whether a cloud is a radar's: as is said, else by the topic's name, else by its columns."""
+        if self.radars is not None:
+            return bool({topic.name, our_name(topic.name)} & set(self.radars))
+        name = topic.name.lower()
+        if ("radar" in name) != ("lidar" in name):
+            return "radar" in name
+        return is_radar(columns)
 
 
 def our_name(topic: str) -> str:
@@ -114,7 +167,11 @@ class Bags(Dataset):
         cloud: Topic of the reference cloud; the lidar with the most messages unless given.
         stamp: ``"header"``, the sensors' own stamps, or ``"log"``, when messages were recorded.
         tolerance_ms: Largest distance of what comes with a frame.
-        intensity_max: Intensity that is taken as 1; by the first cloud unless given.
+        intensity_scale: Value that stands for full reflectance; None decides by some clouds of each topic.
+        intensity_max: The old name of intensity_scale.
+        point_times: Unit of the points' times: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to leave the column as it is;
+            ``auto`` decides by the sweeps' period.
+        radars: Topics of radars, ``("none",)`` for none; topics' names and columns decide unless given.
 
     Raises:
         DatasetError: If there is no bag with clouds.
@@ -131,22 +188,44 @@ class Bags(Dataset):
         cloud: str | None = None,
         stamp: Literal["header", "log"] = "header",
         tolerance_ms: float = 50.0,
-        intensity_max: float | None = None,
+        intensity_scale: float | int | None = None,
+        intensity_max: float | int | None = None,
+        point_times: PointTimes = "auto",
+        radars: Sequence[str] | None = None,
     ) -> None:
+        check_point_times(point_times)
+        scale = intensity_max if intensity_scale is None else intensity_scale
+        if scale is not None and not 0 < scale < np.inf:
+            raise ConfigError(f"intensity_scale: expected a positive number, got {scale!r}")
         self.root, self.tolerance_ns = Path(root), round(tolerance_ms * 1e6)
         paths = find_bags(self.root)
         self._bags = {path.stem if path.is_file() else path.resolve().name: path for path in paths}
         if len(self._bags) < len(paths):
             raise DatasetError(f"{root}: expected bags of different names")
-        self._recorded = {name: IndexedBag(path, stamp, intensity_max) for name, path in self._bags.items()}
+        self._recorded = {
+            name: IndexedBag(path, stamp, scale, point_times, radars) for name, path in self._bags.items()
+        }
         self._clouds = {name: self._reference(name, cloud) for name in self._bags}
+        _check_radars(radars, [topic for bag in self._recorded.values() for topic in bag.clouds])
         counts = {name: 0 if topic is None else topic.size for name, topic in self._clouds.items()}
         if not sum(counts.values()):
-            held = sorted({t.name for r in self._recorded.values() for t in r.clouds}) or ["none"]
-            error = DatasetError if cloud is None else ConfigError
-            raise error(f"{root}: expected bags with clouds{'' if cloud is None else f' of {cloud}'}, found {held}")
+            raise self._no_clouds(cloud)
         self.sequences = tuple(name for name, count in counts.items() for _ in range(count))
         self.frame_ids = tuple(f"{number:06d}" for count in counts.values() for number in range(count))
+
+    def _no_clouds(self, cloud: str | None) -> DatasetError | ConfigError:
+        """What the bags hold instead of the clouds that were looked for."""
+        held = sorted({topic.name for bag in self._recorded.values() for topic in bag.clouds})
+        if cloud is not None:
+            return ConfigError(f"{self.root}: expected bags with clouds of {cloud}, found {', '.join(held) or 'none'}")
+        topics = {topic.name: topic for bag in self._recorded.values() for topic in bag.bag.topics}
+        shown = [f"{topic.name} ({topic.kind}, {topic.size} messages)" for topic in topics.values()]
+        listed = ", ".join(shown[:8]) + (f" and {len(shown) - 8} more" if len(shown) > 8 else "")
+        return DatasetError(
+            f"{self.root}: expected a topic of {CLOUD} with messages, found {listed or 'no topic at all'}. A driver's "
+            "own type is not read: record the topic that its converter publishes, such as velodyne_pointcloud's "
+            "/velodyne_points or Livox' driver with xfer_format 0, or write the clouds as .pcd into a folder."
+        )
 
     def _reference(self, name: str, cloud: str | None) -> Topic | None:
         """The reference cloud of a bag; without a name the one of most messages, lidars before radars by name."""
@@ -193,7 +272,7 @@ class Bags(Dataset):
             if messages.topic.kind == CLOUD:
                 ours = np.eye(4) if name == reference else recorded.transforms.fixed(own.frame_id, messages.frame_id)
                 move = None if name == reference else ours
-                clouds[name] = partial(load_cloud, *where, limit=messages.limit, target_T_sensor=move)
+                clouds[name] = partial(load_cloud, *where, settings=messages.settings, target_T_sensor=move)
                 kind: Literal["radar", "lidar"] = "radar" if messages.radar else "lidar"
                 has_pose = ours is not None
                 sensors[name] = Sensor(kind=kind, frame_T_sensor=ours, in_frame=has_pose, time_ns=taken_ns)
@@ -246,7 +325,7 @@ def find_bags(root: Path) -> list[Path]:
     """The bag that a folder is, or those in it: folders with metadata, and lone files."""
     if is_bag(root):
         return [root]
-    lone = [path for path in root.iterdir() if path.suffix in SUFFIXES and path.is_file()]
+    lone = [path for path in root.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
     return sorted([*lone, *(path for path in root.iterdir() if path.is_dir() and is_bag(path))])
 
 
@@ -259,27 +338,43 @@ def load_image(bag: Bag, topic: str, log_ns: int, index: int) -> UInt8[np.ndarra
 
 # Point clouds of messages.
 
-INTENSITY = ("intensity", "i", "reflectivity", "signal")
-TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time", "timeOffset", "time_offset", "point_time_offset")
-RADAR = ("doppler", "velocity", "range_rate", "radial_speed", "rcs", "power", "snr", "v_r")
-_FULL = {"u1": 255.0, "u2": 65535.0}
-
-Columns = dict[str, Shaped[np.ndarray, " n"]]
-
-
-def is_radar(names: Any) -> bool:
-    """Whether a cloud's columns are a radar's: a speed or a cross-section."""
-    return any(term in str(name).lower() for name in names for term in RADAR)
+SPEEDS = ("doppler", "velocity", "range_rate", "radial_speed", "v_r")
+CROSS_SECTIONS = ("rcs", "power", "snr")
+LIDAR = ("intensity", "reflectivity", "ring", "line", "channel", "laser", "ambient", "near_ir", "return")
+_MOST_RADAR_POINTS = 5_000
+"""More points a sweep than radars' point clouds have, with measures of a LiDAR beside the speed: an FMCW LiDAR."""
 
 
-def intensity_limit(columns: Columns) -> float | None:
-    """The value that is taken as 1: all that an integer holds, else the least of 1, 255, 65,535 above what is seen."""
-    name = next((name for name in INTENSITY if name in columns), None)
-    if name is None:
-        return None
-    kind = columns[name].dtype.str[1:]
-    largest = float(np.nanmax(columns[name], initial=0))
-    return _FULL.get(kind) or next((limit for limit in (1.0, 255.0, 65535.0) if largest <= limit), None)
+def is_radar(columns: Columns) -> bool:
+    """Whether a cloud's columns are a radar's: a cross-section, or a speed that no FMCW LiDAR measured.
+
+    Such a LiDAR (Aeva, Aurora, Scantinel) measures speeds too, in many more points and with an intensity or a line.
+    """
+    if not (_has_column(columns, SPEEDS) or _has_column(columns, CROSS_SECTIONS)):
+        return False
+    points = max(map(len, columns.values()), default=0)
+    return not (points > _MOST_RADAR_POINTS and _has_column(columns, LIDAR))
+
+
+def _has_column(columns: Columns, terms: Sequence[str]) -> bool:
+    return any(term in str(name).lower() for name in columns for term in terms)
+
+
+def _check_radars(radars: Sequence[str] | None, topics: Sequence[Topic]) -> None:
+    """Refuse names of radars that no cloud of the bags has."""
+    names = {name for topic in topics for name in (topic.name, our_name(topic.name))}
+    unknown = [name for name in radars or () if name not in names and name != "none"]
+    if unknown and names:
+        listed = ", ".join(dict.fromkeys(topic.name for topic in topics))
+        raise ConfigError(f"radars: expected topics of clouds ({listed}) or none, got {unknown[0]!r}")
+
+
+def _has_place(columns: Columns) -> Bool[np.ndarray, " n"]:
+    """Which points are none that mark a direction without return; all where there is no place at all."""
+    if not all(axis in columns for axis in "xyz"):
+        return np.full(len(next(iter(columns.values()))), True)
+    places = np.column_stack([columns[axis] for axis in "xyz"])
+    return np.isfinite(places).all(axis=1) & (places != 0).any(axis=1)
 
 
 def load_cloud(
@@ -288,71 +383,44 @@ def load_cloud(
     log_ns: int,
     index: int,
     *,
-    limit: float | None,
+    settings: CloudSettings,
     target_T_sensor: np.ndarray | None = None,
 ) -> Cloud:
-    """Read one cloud of a bag; points that are not finite ("no return") are left out.
+    """Read one cloud of a bag; rows without a place (not finite, or 0, 0, 0: no return) are left out and counted.
 
     Args:
         bag: The bag.
         topic: The cloud's topic.
         log_ns: When it was recorded.
         index: Which of those recorded then.
-        limit: Intensity that is taken as 1; None leaves the column as it is among the others.
+        settings: Full scale, unit of times and period.
         target_T_sensor: Moves the points into other coordinates.
     """
     message = bag.at(topic, log_ns, index)
     columns = read_points(message, bag.path)
     with guarded(bag.path, "a cloud's header"):
         stamp_ns = int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
-    cloud = cloud_of(columns, bag.path, limit=limit, stamp_ns=stamp_ns)
+    cloud = cloud_of(columns, bag.path, settings.at(stamp_ns))
     return cloud if target_T_sensor is None else cloud.transform(target_T_sensor)
 
 
-def cloud_of(columns: Columns, path: Path | str, *, limit: float | None, stamp_ns: int) -> Cloud:
+def cloud_of(columns: Columns, path: Path | str, settings: CloudSettings) -> Cloud:
     """A cloud of the columns of a message.
 
     Raises:
-        FileFormatError: If there is no x, y, z.
-        ConfigError: If an intensity lies above what is taken as 1.
+        FileFormatError: If there is no x, y, z, an intensity lies beyond its scale, or the points' times cannot be
+            told.
     """
+    columns = named_columns(path, columns)
     missing = [name for name in "xyz" if name not in columns]
     if missing:
         raise FileFormatError(path, where="a point cloud", expected="fields x, y, z", got=", ".join(columns) or "none")
     points = np.column_stack([columns[name] for name in "xyz"]).astype(np.float32)
-    finite = np.isfinite(points).all(axis=1)
-    rest = {name: values[finite] for name, values in columns.items() if name not in "xyz"}
-    times = next((name for name in TIMES if name in rest), None)
-    if times is not None:
-        rest["offset_ns"] = offsets_ns(rest.pop(times), stamp_ns)
-    name = next((name for name in INTENSITY if name in rest), None)
-    strength = None if name is None or limit is None else _scaled(rest.pop(name), limit, path)
-    return Cloud(points[finite], strength, rest)
-
-
-def _scaled(values: Shaped[np.ndarray, " n"], limit: float, path: Path | str) -> Float32[np.ndarray, " n"]:
-    scaled = (values / limit).astype(np.float32)
-    if not ((scaled >= 0) & (scaled <= 1)).all():
-        raise ConfigError(
-            f"{path}: expected intensities from 0 to {limit:g}, taken from the first cloud; got {np.nanmin(values):g} "
-            f"to {np.nanmax(values):g}. Say what is full strength: intensity_max=."
-        )
-    return scaled
-
-
-def offsets_ns(values: Shaped[np.ndarray, " n"], stamp_ns: int) -> Int64[np.ndarray, " n"]:
-    """How long after the cloud's stamp each point was measured, in nanoseconds.
-
-    Integers are nanoseconds, since the stamp or since 1970; floating point is seconds, likewise, or from 1e17 on
-    nanoseconds since 1970 (Ouster, Velodyne, Hesai and Livox drivers).
-    """
-    if values.dtype.kind in "iu":
-        times_ns = values.astype(np.int64)
-        return np.asarray(times_ns - stamp_ns if len(times_ns) and times_ns.max() > 10**17 else times_ns)
-    size = float(np.abs(values).max(initial=0))
-    if size >= 1e17:
-        return np.rint(values - float(stamp_ns)).astype(np.int64)
-    if size >= 1e8:
-        whole_s = stamp_ns // 1_000_000_000
-        return np.rint((values - whole_s) * 1e9).astype(np.int64) - stamp_ns % 1_000_000_000
-    return np.rint(values.astype(np.float64) * 1e9).astype(np.int64)
+    points[np.isinf(points).any(axis=1)] = np.nan
+    valid = returned(path, points)
+    rest = {name: values[valid] for name, values in columns.items() if name not in "xyz"}
+    strength = rest.pop("intensity", None)
+    if strength is not None:
+        scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
+        strength = scaled_intensity(path, strength, scale)
+    return Cloud(points[valid], strength, with_offsets(path, rest, settings), int((~valid).sum()))

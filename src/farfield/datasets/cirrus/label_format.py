@@ -82,7 +82,7 @@ class CirrusLabelFormat(JsonLabels):
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
         """The file with other labels in some frames."""
-        if path.suffix == ".txt":
+        if path.suffix.lower() == ".txt":
             return render_text(data, path, labels, self.settings)
         return super().render(data, path, labels)
 

@@ -76,7 +76,7 @@ def parse_labels(data: bytes, path: Path, settings: Labels) -> RawLabels:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", got="other bytes") from error
-    return _parse_text(path, text, settings) if path.suffix == ".txt" else _parse_json(path, text, settings)
+    return _parse_text(path, text, settings) if path.suffix.lower() == ".txt" else _parse_json(path, text, settings)
 
 
 def _parse_json(path: Path, text: str, settings: Labels) -> RawLabels:

@@ -21,6 +21,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from farfield.errors import ConfigError, DatasetError, plain
+from farfield.files.atomic import read_bytes
+from farfield.files.suffixes import pattern_in_any_case
 from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 # The mapping file: one key for every fact that the release leaves uncertain.
@@ -158,7 +160,7 @@ def read_mapping(path: Path | str) -> Mapping:
         ConfigError: If it cannot be read, is no YAML, or has an unknown key or an impossible value.
     """
     try:
-        content = yaml.safe_load(Path(path).read_text("utf-8"))
+        content = yaml.safe_load(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
         return Mapping.model_validate({} if content is None else content)
     except ValidationError as error:
         raise ConfigError(f"{path}: {plain(error)}") from error
@@ -166,6 +168,7 @@ def read_mapping(path: Path | str) -> Mapping:
         raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
 
 
+_MAX_MAPPING_BYTES = 1 << 20
 KINDS = ("gaussian", "uniform", "camera", "labels")
 _NANOSECONDS = re.compile(r"\d{16,19}")
 
@@ -251,10 +254,11 @@ def _numbers(folder: Path, layout: FolderLayout) -> list[int]:
 
 
 def _files(folder: Path, pattern: str, number: int) -> tuple[Path, ...]:
-    paths = [path for path in folder.glob(pattern.replace("{n}", str(number))) if not path.name.startswith(".")]
+    glob = pattern_in_any_case(pattern.replace("{n}", str(number)))
+    paths = [path for path in folder.glob(glob) if not path.name.startswith(".")]
     if not paths and pattern.endswith(".json"):  # the authors' text labels stand in for missing JSON
         texts = pattern.replace("json_files", "txt_files").removesuffix(".json") + ".txt"
-        paths = list(folder.glob(texts.replace("{n}", str(number))))
+        paths = list(folder.glob(pattern_in_any_case(texts.replace("{n}", str(number)))))
     timed = all(time_of(path) is not None for path in paths)
     return tuple(sorted(paths, key=lambda path: (time_of(path) or 0) if timed else _natural(path)))
 

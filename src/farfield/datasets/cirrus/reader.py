@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from farfield.datasets.base import Dataset, Indices, all_known
-from farfield.datasets.calibration import CALIBRATION_NAMES, read_calibration
+from farfield.datasets.calibration import CALIBRATION_NAMES, usable_cameras
 from farfield.datasets.cirrus.labels import RawLabels, annotation_from_labels, read_labels
 from farfield.datasets.cirrus.layout import (
     CirrusFiles,
@@ -21,10 +21,11 @@ from farfield.datasets.cirrus.layout import (
     read_mapping,
     time_of,
 )
-from farfield.errors import DatasetError, FileFormatError
+from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.images import read_image
+from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.frame import Annotation, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import intensity_scale_of, read_rows
+from farfield.frame.cloud import read_rows, returned
 from farfield.vocabulary.patterns import PATTERNS
 
 # Sweeps: one .xyz file as a cloud.
@@ -71,7 +72,7 @@ class IntensityScale:
         if self.settings.intensity_scale != "auto":
             return float(self.settings.intensity_scale)
         read = (read_columns(path, root, pattern, self.settings) for path, root in self.files[pattern])
-        return intensity_scale_of(max(float(columns["intensity"].max(initial=0.0)) for columns in read))
+        return intensity_scale_of([columns["intensity"] for columns in read])
 
 
 @dataclass(frozen=True)
@@ -103,19 +104,13 @@ class CirrusSweep:
             FileFormatError: If the file is damaged or its intensity exceeds the scale.
         """
         columns = self.columns()
-        scale = self.scale.by_pattern[self.pattern]
-        strength = columns["intensity"].astype(np.float32) / np.float32(scale)
-        if len(strength) and (strength.max() > 1 + 1e-5 or strength.min() < 0):
-            raise FileFormatError(
-                self.path,
-                where="the intensity column",
-                expected=f"values from 0 to {scale:g}",
-                got=f"{columns['intensity'].min():g} to {columns['intensity'].max():g}",
-                fix="Give the true full scale in the mapping: xyz: {intensity_scale: 255}.",
-            )
         points = np.stack([columns[axis] for axis in "xyz"], axis=1).astype(np.float32)
+        valid = returned(self.path, points)
+        columns = {name: column[valid] for name, column in columns.items()}
+        scale = self.scale.by_pattern[self.pattern]
+        strength = scaled_intensity(self.path, columns["intensity"], scale)
         extra = {name: column for name, column in columns.items() if name not in ("x", "y", "z", "intensity")}
-        return Cloud(points, np.minimum(strength, np.float32(1.0)), extra)
+        return Cloud(points[valid], strength, extra, int((~valid).sum()))
 
 
 class Cirrus(Dataset):
@@ -135,6 +130,7 @@ class Cirrus(Dataset):
         mapping: Mapping file, or its content; see :mod:`farfield.datasets.cirrus.layout`.
         pairing: ``"nearest"`` in time or in ``"order"``; overrides the mapping.
         max_dt_ms: Sweeps farther apart are not paired; overrides the mapping.
+        intensity_scale: Value that stands for full reflectance; overrides the mapping.
 
     Raises:
         DatasetError: If the folder holds no clouds in the layout.
@@ -151,12 +147,18 @@ class Cirrus(Dataset):
         mapping: Mapping | Path | str | None = None,
         pairing: Literal["nearest", "order"] | None = None,
         max_dt_ms: float | int | None = None,
+        intensity_scale: float | int | None = None,
     ) -> None:
         self.root = Path(root)
         settings = mapping if isinstance(mapping, Mapping) else read_mapping(mapping) if mapping else Mapping()
         changes = {"mode": pairing, "max_dt_ms": max_dt_ms}
         changes = {name: value for name, value in changes.items() if value is not None}
         self.mapping = settings.model_copy(update={"pairing": settings.pairing.model_copy(update=changes)})
+        if intensity_scale is not None:
+            if not 0 < intensity_scale < np.inf:
+                raise ConfigError(f"intensity_scale: expected a positive number, got {intensity_scale!r}")
+            xyz = self.mapping.xyz.model_copy(update={"intensity_scale": float(intensity_scale)})
+            self.mapping = self.mapping.model_copy(update={"xyz": xyz})
         self.split_file = Path(self.mapping.splits.file)
         self.parts = find_parts(self.root, self.mapping)
         if not self.parts:
@@ -266,9 +268,18 @@ class Cirrus(Dataset):
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
-        """Cameras by name; empty without a calibration file."""
-        path = self.calibration_file
-        return {} if path is None else read_calibration(path, inverse=self.mapping.calib.convention == "cam_to_lidar")
+        """Cameras by name; empty without a calibration file, or with one that cannot be used (:attr:`notes`)."""
+        return self._calibration[0]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What of the calibration cannot be used."""
+        return self._calibration[1]
+
+    @cached_property
+    def _calibration(self) -> tuple[dict[str, Camera], tuple[str, ...]]:
+        inverse = self.mapping.calib.convention == "cam_to_lidar"
+        return usable_cameras(self.calibration_file, inverse=inverse)
 
 
 def _conditions(raw: RawLabels | None) -> dict[str, str]:

@@ -10,6 +10,7 @@ from PIL import Image
 from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.cuboids import check_yaw
 from farfield.files.kitti import KittiObjects
+from farfield.files.stand_ins import check_itself
 from farfield.frame import Annotation, Boxes, Camera, CameraField
 from farfield.geometry.cameras import image_boxes
 from farfield.geometry.kitti import camera_from_lidar, lidar_from_camera
@@ -181,6 +182,7 @@ def sized_camera(
     if image is None:
         width, height = size_px or image_size(camera_of(calib).matrix)
         return camera_of(calib, width_px=width, height_px=height)
+    check_itself(image)
     try:
         with Image.open(image, formats=("JPEG", "PNG")) as picture:
             width, height = picture.size

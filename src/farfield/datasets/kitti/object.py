@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.datasets.base import Dataset, Indices
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.kitti.boxes import (
     annotation_of,
     boxes_in_axes,
@@ -27,12 +28,16 @@ from farfield.files.atomic import write_text
 from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
+from farfield.files.point_times import PointTimes
+from farfield.files.stand_ins import check_itself
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import columns_shown, read_cloud
+from farfield.frame.cloud import read_radar_rows
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
 
 _IMAGE_SUFFIXES = (".png", ".jpg")
-_COLUMNS, _LOOKED_AT = 4, 8
+_CLOUDS = f"velodyne/*{any_case('.bin')}"
+_COLUMNS = 4
 
 
 class Kitti(Dataset):
@@ -50,6 +55,10 @@ class Kitti(Dataset):
         label_axes: ``"camera"``, or of own labels with a unit calibration ``"lidar"`` (x y z is a box's centre in the
             LiDAR's axes, rotation_y its yaw) or ``"lidar-bottom"`` (x y z is the bottom's centre); the calibration is
             then no camera's.
+        intensity_scale: Value that stands for full reflectance in all clouds; None is KITTI's 1 for four
+            columns, else decides by some of them.
+        point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
+            leave the column as it is; ``auto`` decides by the sweeps' period.
 
     Raises:
         DatasetError: If there is no cloud.
@@ -65,6 +74,8 @@ class Kitti(Dataset):
         classes: Literal["cirrus", "kitti"] = "cirrus",
         bin_columns: int | None = None,
         label_axes: str = "camera",
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
     ) -> None:
         checked_axes(label_axes)
         self.label_axes = label_axes
@@ -72,13 +83,21 @@ class Kitti(Dataset):
             raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
         self.root, self.classes = Path(root), classes
         folders = [self.root / part, self.root]
-        self.folder = next((folder for folder in folders if any(folder.glob("velodyne/*.bin"))), folders[0])
-        self.clouds = sorted(self.folder.glob("velodyne/*.bin"))
+        self.folder = next((folder for folder in folders if any(folder.glob(_CLOUDS))), folders[0])
+        self.clouds = sorted(self.folder.glob(_CLOUDS))
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected KITTI clouds in {part}/velodyne/*.bin, found none")
         self.frame_ids = tuple(path.stem for path in self.clouds)
         self.sequences = (part,) * len(self.clouds)
-        self.bin_columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
+        self.reading = CloudReading(
+            self.clouds,
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+            usual_columns=_COLUMNS,
+            usual_scale=1.0,  # KITTI's reflectance reaches 1
+        )
+        self.bin_columns = self.reading.bin_columns or _COLUMNS
         if self.name == Kitti.name and self.bin_columns > _COLUMNS:
             self._refuse_radar()
 
@@ -101,12 +120,12 @@ class Kitti(Dataset):
         for name in ("train", "val", "test"):
             path = self.root / "ImageSets" / f"{name}.txt"
             if path.is_file():
+                check_itself(path)
                 parts[name] = path.read_text("ascii").split()
         return parts or super().split_parts()
 
     def _file(self, index: int, kind: str, suffix: str) -> Path | None:
-        path = self.folder / kind / f"{self.frame_ids[index]}{suffix}"
-        return path if path.is_file() else None
+        return existing(self.folder / kind / f"{self.frame_ids[index]}{suffix}")
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -130,8 +149,7 @@ class Kitti(Dataset):
                 f"{labels}: expected calib/{labels.name} beside it: boxes stand in the camera's frame. "
                 "Labels in the LiDAR's axes are read by --label-axes lidar or lidar-bottom"
             )
-        scale = 1.0 if self.bin_columns == _COLUMNS else None  # KITTI's reflectance reaches 1; others are not known
-        load = partial(read_cloud, self.clouds[index], bin_columns=self.bin_columns, intensity_scale=scale)
+        load = self.reading.loader(self.clouds[index])
         pictured = calib is not None and self.label_axes == "camera"
         annotation, cameras = None, {"camera": sized_camera(calib, image)} if calib is not None and pictured else {}
         if labels is not None:
@@ -177,7 +195,7 @@ _RANGE = COLUMNS.index("range_m")
 def is_tj4dradset(root: Path) -> bool:
     """Whether a folder in KITTI's layout holds points of eight numbers whose fifth is their range."""
     for base in (root / "training", root / "testing", root):
-        first = next(iter(sorted(base.glob("velodyne/*.bin"))[:1]), None)
+        first = next(iter(sorted(base.glob(_CLOUDS))[:1]), None)
         if first is not None:
             try:
                 columns = bin_columns(first)
@@ -212,9 +230,9 @@ def read_radar(path: Path) -> Cloud:
     Raises:
         FileFormatError: If the file is damaged.
     """
-    rows = read_bin(path, columns=len(COLUMNS))
+    rows, missing = read_radar_rows(path, len(COLUMNS))
     extra = {name: np.ascontiguousarray(rows[:, number]) for number, name in enumerate(COLUMNS) if number > 2}
-    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]})
+    return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]}, missing)
 
 
 # Writing KITTI's layout.

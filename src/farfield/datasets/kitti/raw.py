@@ -15,6 +15,7 @@ from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation
 
 from farfield.datasets.base import Dataset, Indices
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.tracklet_reading import (
     FRAME_LIST,
     TrackletReading,
@@ -24,16 +25,17 @@ from farfield.datasets.labels.tracklet_reading import (
 from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.files.kitti import read_raw_calib, read_record, rectified, rigid
+from farfield.files.point_times import PointTimes
 from farfield.files.stamps import read_stamps, recognise_stamps
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.geometry.poses import invert, pose
 
 if TYPE_CHECKING:
     from farfield.datasets.labels.tracklet_labels import TrackletLabels
 
 CLOUDS, CAMERAS = "velodyne_points", ("image_00", "image_01", "image_02", "image_03")
-_COLUMNS, _LOOKED_AT = 4, 8
+_COLUMNS = 4
 _LABELS = "tracklet_labels.xml"
 _IMAGES = (".png", ".jpg")
 _STAMPS = {"middle": "timestamps.txt", "start": "timestamps_start.txt", "end": "timestamps_end.txt"}
@@ -58,6 +60,9 @@ class KittiRaw(Dataset):
         tracklets: What the numbers of ``tracklet_labels.xml`` stand for: ``"kitti"``, ``"cvat"`` or ``"datumaro"``;
             None decides by the list beside it, the writer's marks, and the points in the boxes.
         bin_columns: Columns of the clouds; None takes what the first show, and KITTI's four where they show none.
+        intensity_scale: Value that stands for full reflectance in all clouds; None is KITTI's 1 for four columns, else
+            decides by some of them.
+        point_times: Unit of the points' times, where the files have any.
 
     Raises:
         DatasetError: If there is no drive.
@@ -66,11 +71,21 @@ class KittiRaw(Dataset):
 
     name = "kitti_raw"
 
-    def __init__(self, root: Path | str, *, tracklets: str | None = None, bin_columns: int | None = None) -> None:
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        tracklets: str | None = None,
+        bin_columns: int | None = None,
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
+    ) -> None:
         self.root, self.tracklets = Path(root), tracklets
         checked_convention(tracklets)
         self.folders = drives_in(self.root)
-        self.clouds = [path for folder in self.folders for path in sorted((folder / CLOUDS / "data").glob("*.bin"))]
+        self.clouds = [
+            path for folder in self.folders for path in sorted((folder / CLOUDS / "data").glob(f"*{any_case('.bin')}"))
+        ]
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected drives with {CLOUDS}/data/*.bin and timestamps, found none")
         self._sweeps: dict[Path, tuple[Path, ...]] = {}
@@ -79,15 +94,21 @@ class KittiRaw(Dataset):
         self._first_record = {folder: min(folder.glob("oxts/data/*.txt"), default=None) for folder in self.folders}
         self.sequences = tuple(self._drive(index).resolve().name for index in range(len(self.clouds)))
         self.frame_ids = tuple(path.stem for path in self.clouds)
-        self.columns = bin_columns or columns_shown(self.clouds[:_LOOKED_AT]) or _COLUMNS
-        self.scale = 1.0 if self.columns == _COLUMNS else None  # KITTI's reflectance reaches 1
+        self.reading = CloudReading(
+            self.clouds,
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+            usual_columns=_COLUMNS,
+            usual_scale=1.0,  # KITTI's reflectance reaches 1
+        )
 
     def _drive(self, index: int) -> Path:
         return self.clouds[index].parents[2]
 
     def _image(self, index: int, camera: str) -> Path | None:
         candidates = (self._drive(index) / camera / "data" / f"{self.frame_ids[index]}{suffix}" for suffix in _IMAGES)
-        return next((path for path in candidates if path.is_file()), None)
+        return next((path for candidate in candidates if (path := existing(candidate))), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -103,7 +124,7 @@ class KittiRaw(Dataset):
 
     def _reading(self, drive: Path) -> Callable[[], TrackletReading]:
         """What reads a drive's tracklets."""
-        convention, columns = self.tracklets, self.columns
+        convention, columns = self.tracklets, self.reading.bin_columns
         return partial(read_tracklets, drive / _LABELS, self._sweeps[drive], convention=convention, bin_columns=columns)
 
     def tracklets_of(self, drive: Path) -> TrackletReading:
@@ -132,12 +153,11 @@ class KittiRaw(Dataset):
         labels = drive / _LABELS
         turn = tuple(self._time_ns(index, which) for which in ("start", "end"))
         times = {name: stamp_of(drive / name / _STAMPS["middle"], frame_id) for name in (*images, *cameras)}
-        read = partial(read_cloud, bin_columns=self.columns, intensity_scale=self.scale)
         return Frame(
             sequence=self.sequences[index],
             frame_id=frame_id,
             time_ns=self._time_ns(index, "middle"),
-            clouds=Lazy({"lidar": partial(read, self.clouds[index])}),
+            clouds=Lazy({"lidar": self.reading.loader(self.clouds[index])}),
             images=Lazy({name: partial(read_image, path) for name, path in images.items()}),
             cameras=cameras,
             sensors={

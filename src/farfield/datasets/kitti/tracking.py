@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.kitti.boxes import (
     annotation_of,
     boxes_in_axes,
@@ -24,12 +25,14 @@ from farfield.datasets.kitti.object import mounted
 from farfield.errors import DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiTracks, read_calib, read_tracking
+from farfield.files.point_times import PointTimes
+from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, CameraField, Frame, Lazy
-from farfield.frame.cloud import columns_shown, read_cloud
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 
 _LABEL_FOLDERS = ("label_02", "label")
-_COLUMNS, _LOOKED_AT = 4, 8
+_COLUMNS = 4
+_CLOUDS, _TRACKS = f"*{any_case('.bin')}", f"*{any_case('.txt')}"
 
 
 class KittiTracking(Dataset):
@@ -46,6 +49,9 @@ class KittiTracking(Dataset):
         bin_columns: Columns; None takes what the largest of the first clouds shows, and KITTI's four where it
             shows none.
         label_axes: As of :class:`~farfield.datasets.kitti.object.Kitti`.
+        intensity_scale: Value that stands for full reflectance in all clouds; None is KITTI's 1 for four columns, else
+            decides by some of them.
+        point_times: Unit of the points' times, where the files have any.
 
     Raises:
         DatasetError: If there are neither clouds nor labels.
@@ -61,13 +67,15 @@ class KittiTracking(Dataset):
         classes: Literal["cirrus", "kitti"] = "cirrus",
         bin_columns: int | None = None,
         label_axes: str = "camera",
+        intensity_scale: float | int | None = None,
+        point_times: PointTimes = "auto",
     ) -> None:
         checked_axes(label_axes)
         self.label_axes = label_axes
         self.root, self.classes = Path(root), classes
         self.folder = self.root / part if (self.root / part).is_dir() else self.root
-        names = {path.parent.name for path in self.folder.glob("velodyne/*/*.bin")}
-        self.labels = {p.stem: p for name in reversed(_LABEL_FOLDERS) for p in self.folder.glob(f"{name}/*.txt")}
+        names = {path.parent.name for path in self.folder.glob(f"velodyne/*/{_CLOUDS}")}
+        self.labels = {p.stem: p for name in reversed(_LABEL_FOLDERS) for p in self.folder.glob(f"{name}/{_TRACKS}")}
         self._tracks = {sequence: _TrackFile(path) for sequence, path in self.labels.items()}
         names |= self.labels.keys()
         keys = [(name, stem) for name in sorted(names) for stem in self._stems(name)]
@@ -76,12 +84,17 @@ class KittiTracking(Dataset):
             raise DatasetError(f"{self.root}: expected KITTI tracking data, found none. Looked for {looked}")
         self.sequences = tuple(name for name, _ in keys)
         self.frame_ids = tuple(stem for _, stem in keys)
-        first = sorted(self.folder.glob(f"velodyne/{keys[0][0]}/*.bin"))[:_LOOKED_AT]
-        self.columns = bin_columns or columns_shown(first) or _COLUMNS
-        self.scale = 1.0 if self.columns == _COLUMNS else None  # KITTI's reflectance reaches 1
+        self.reading = CloudReading(
+            sorted(self.folder.glob(f"velodyne/*/{_CLOUDS}")),
+            bin_columns=bin_columns,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+            usual_columns=_COLUMNS,
+            usual_scale=1.0,  # KITTI's reflectance reaches 1
+        )
 
     def _stems(self, sequence: str) -> list[str]:
-        clouds = [path.stem for path in sorted(self.folder.glob(f"velodyne/{sequence}/*.bin"))]
+        clouds = [path.stem for path in sorted(self.folder.glob(f"velodyne/{sequence}/{_CLOUDS}"))]
         if clouds or sequence not in self.labels:
             return clouds
         frames = self.tracks(sequence).frame
@@ -95,7 +108,7 @@ class KittiTracking(Dataset):
         candidates = (
             self.folder / kind / self.sequences[index] / f"{self.frame_ids[index]}{suffix}" for suffix in suffixes
         )
-        return next((path for path in candidates if path.is_file()), None)
+        return next((path for candidate in candidates if (path := existing(candidate))), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``; label and calibration files are shared by their sequence."""
@@ -126,11 +139,10 @@ class KittiTracking(Dataset):
             annotation = partial(
                 self._tracks[sequence].annotation, int(stem), camera_T_lidar, self.label_axes, self.classes, field
             )
-        read = partial(read_cloud, bin_columns=self.columns, intensity_scale=self.scale)
         return Frame(
             sequence=sequence,
             frame_id=stem,
-            clouds=Lazy({} if cloud is None else {"lidar": partial(read, cloud)}),
+            clouds=Lazy({} if cloud is None else {"lidar": self.reading.loader(cloud)}),
             images=Lazy({} if image is None else {"camera": partial(read_image, image)}),
             cameras=cameras,
             sensors=mounted(cameras, image is not None),

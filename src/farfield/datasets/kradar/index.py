@@ -17,6 +17,7 @@ from farfield.datasets.kradar.layout import (
 )
 from farfield.datasets.kradar.texts import read_radar_calibration
 from farfield.files.atomic import read_bytes
+from farfield.files.suffixes import any_case, existing
 from farfield.vocabulary.kradar import frame_difference
 
 
@@ -58,7 +59,7 @@ class FileIndex:
         if folders is None:
             candidates = (root / relative.parent for root in self.roots)
             folders = self._folders[relative.parent] = tuple(folder for folder in candidates if folder.is_dir())
-        return next((path for folder in folders if (path := folder / relative.name).is_file()), None)
+        return next((path for folder in folders if (path := existing(folder / relative.name))), None)
 
     def product(self, product: str, sequence: str, index: int) -> Path | None:
         """A radar product's, LiDAR's or camera's file, also under the other names that documents give its folder."""
@@ -81,6 +82,11 @@ def spellings(product: str, sequence: str, index: int) -> tuple[Path, ...]:
     return (path,)
 
 
+def with_disks(roots: Iterable[Path]) -> tuple[Path, ...]:
+    """Roots and, after each, the folders of its disks, as the authors call them: ``dir_1to20``, ``dir_21to37``..."""
+    return tuple(path for root in roots for path in (root, *sorted(p for p in root.glob("dir_*to*") if p.is_dir())))
+
+
 def find_sequences(roots: Sequence[Path]) -> list[str]:
     """Sequences of which some product, LiDAR sweep or annotation stands below one of the roots, in order."""
     patterns = [product_path(product, "*", 0).parent for product in (*RADAR_PRODUCTS, *LIDARS)]
@@ -95,7 +101,7 @@ def find_sequences(roots: Sequence[Path]) -> list[str]:
                     names.add(name)
     for root in roots:
         bare = (folder for folder in root.glob("*") if is_sequence(folder.name) and folder.name not in names)
-        names |= {folder.name for folder in bare if any(is_stem(path.stem) for path in folder.glob("*_*.txt"))}
+        names |= {folder.name for folder in bare if _label_files(folder)}
     return sorted(names, key=int)
 
 
@@ -119,7 +125,7 @@ def find_labels(roots: Sequence[Path], sequence: str, versions: Iterable[str]) -
 
 
 def _label_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob("*_*.txt") if is_stem(path.stem))
+    return sorted(path for path in folder.glob("*_*" + any_case(".txt")) if is_stem(path.stem))
 
 
 def bare_version(folder: Path, paths: Sequence[Path]) -> str:
@@ -178,5 +184,5 @@ def _numbers(
 def numbered_files(folder: Path, example: Path) -> set[int]:
     """Numbers of a folder's files that are named as an example with the number 0 is."""
     prefix = example.stem.removesuffix("00000")
-    stems = (path.stem.removeprefix(prefix) for path in folder.glob(f"{prefix}*{example.suffix}"))
+    stems = (path.stem.removeprefix(prefix) for path in folder.glob(f"{prefix}*{any_case(example.suffix)}"))
     return {int(digits) for digits in stems if digits.isascii() and digits.isdigit() and len(digits) <= 9}

@@ -34,6 +34,9 @@ _PRODUCTS = {
     "corridor": "sp_rdr_cube/{seq}/spcube_{index:05d}.npy",
     "polar_cloud": "pc10p/{seq}/rpc_{index:05d}.npy",
     "polar_cloud_1p": "pc1p/{seq}/rpc_{index:05d}.npy",
+    "polar_cloud_5p": "pc5p/{seq}/rpc_{index:05d}.npy",
+    "polar_cloud_20p": "pc20p/{seq}/rpc_{index:05d}.npy",
+    "polar_cloud_30p": "pc30p/{seq}/rpc_{index:05d}.npy",
     "cells": "radar_cells/{seq}/cells_{index:05d}.h5",
 }
 RADAR_PRODUCTS = tuple(_PRODUCTS)
@@ -41,8 +44,7 @@ SPARSE_COLUMNS = {
     "sparse": (4, 5),
     "sparse_1p": (4, 5),
     "corridor": (4, 5),
-    "polar_cloud": (5, 11),
-    "polar_cloud_1p": (5, 11),
+    **{name: (5, 11) for name in _PRODUCTS if name.startswith("polar_cloud")},
 }
 """Columns of the published clouds: x, y, z, power / 1e13, Doppler; and range, azimuth, elevation with their indices."""
 RESOURCES = Path("resources")

@@ -5,13 +5,13 @@ the development kit negates both angles of the stored axes and flips the cube's 
 """
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Shaped, UInt8
+from jaxtyping import Bool, Float, Float32, Int64, Num, Shaped, UInt8
 from PIL import Image
 
 from farfield.datasets.kradar.layout import LIDARS, SPARSE_COLUMNS
@@ -21,9 +21,11 @@ from farfield.files.images import read_image
 from farfield.files.mat import open_mat, read_mat, write_mat
 from farfield.files.npy import read_npy, write_npy
 from farfield.files.pcd import read_pcd, write_pcd
+from farfield.files.point_times import PointTimeColumn
 from farfield.files.radar_cells import read_radar_cells, write_radar_cells
 from farfield.frame import Cloud
-from farfield.radar.axes import KRADAR_AXES, RadarAxes, cube_gather
+from farfield.frame.cloud import returned
+from farfield.radar.axes import KRADAR_AXES, OUTSIDE, RadarAxes, cube_gather
 from farfield.radar.cells import RATES, RadarCells
 from farfield.radar.products import (
     Moments,
@@ -37,6 +39,7 @@ from farfield.radar.products import (
 TESSERACT_SHAPE = (64, 256, 37, 107)  # Doppler, range, elevation, azimuth
 CUBE_SHAPE = (150, 400, 250)  # z, y, x
 POLAR_SHAPE = (2, 256, 107, 37)  # power and Doppler; range, azimuth, elevation
+_TURN_NS, _FAR_NS = 100_000_000, 1 << 62
 INTENSITY_COUNTS = 1024.0  # signal counts that stand for intensity 1; a power of two, so that scaling loses no bit
 _FIELDS = ("x", "y", "z", "intensity", "t", "reflectivity", "ring", "ambient", "range")
 _DTYPES = dict(zip(_FIELDS, ("f4", "f4", "f4", "f4", "u4", "u2", "u1", "u2", "u4"), strict=True))
@@ -58,7 +61,8 @@ def write_radar(
             ``"cube"``: z x y x x (150, 400, 250), -1 outside the field of view; ``"polar3d"``: power / 1e13 and Doppler
             in m/s, each range x azimuth x elevation, (2, 256, 107, 37); ``"sparse"``, ``"sparse_1p"``,
             ``"corridor"``: x, y, z, power / 1e13 (and Doppler) in the radar's frame, shape (n, 4 or 5);
-            ``"polar_cloud"``, ``"polar_cloud_1p"``: the same with Doppler, or 11 columns; ``"cells"``: the cells of a
+            ``"polar_cloud"``, ``"polar_cloud_1p"``, ``_5p``, ``_20p``, ``_30p``: the same with Doppler, or 11 columns;
+            ``"cells"``: the cells of a
             region, Farfield's own store. Angles, z and y rise in our sense: to the left and up.
         values: The product.
         dtype: Dtype of the tesseract and the cube in the file; the real ones have float64. The others get float64.
@@ -92,13 +96,72 @@ def read_radar(path: Path, product: str) -> Shaped[np.ndarray, "..."] | RadarCel
     if product == "cells":
         return read_cells(path)
     if product == "tesseract":
-        return _checked(path, read_mat(path, "arrDREA"), TESSERACT_SHAPE)[:, :, ::-1, ::-1]
+        tensor = _checked(path, read_mat(path, "arrDREA"), TESSERACT_SHAPE)
+        check_power(path, tensor)
+        return tensor[:, :, ::-1, ::-1]
     if product == "cube":
-        return _checked(path, read_mat(path, "arr_zyx"), CUBE_SHAPE)[::-1]
+        cube = _checked(path, read_mat(path, "arr_zyx"), CUBE_SHAPE)
+        check_power(path, cube, outside=OUTSIDE)
+        return cube[::-1]
     if product == "polar3d":
-        return _checked(path, read_npy(path), POLAR_SHAPE)[:, :, ::-1, ::-1]
+        polar = _checked(path, read_npy(path), POLAR_SHAPE)
+        check_power(path, polar[0])
+        _check_finite(path, polar[1])
+        return polar[:, :, ::-1, ::-1]
     points = read_npy(path)
-    return _checked(path, points, (len(points) if points.ndim else 0, _columns(product, points)))
+    points = _checked(path, points, (len(points) if points.ndim else 0, _columns(product, points)))
+    check_power(path, points[:, 3])
+    _check_finite(path, points)
+    return points
+
+
+def check_power(
+    path: Path | str, power: Float[np.ndarray, "..."], *, outside: float | None = None, name: str = "power"
+) -> None:
+    """Refuse power that cannot be measured: a damaged file must not become cells that look sound.
+
+    Args:
+        path: The file.
+        power: Linear power.
+        outside: What stands for a cell outside the field of view, besides.
+        name: What it is called in the error.
+
+    Raises:
+        FileFormatError: If a cell is not finite or negative.
+    """
+    if not power.size:
+        return
+    least, largest = power.min(), power.max()  # both are NaN where a cell is
+    if np.isfinite(largest) and (least >= 0 or (least == outside and not _impossible(power, outside).any())):
+        return
+    wrong = _impossible(power, outside)
+    raise FileFormatError(
+        path,
+        where=f"the {name}",
+        expected=f"finite {name} of 0 or more"
+        + ("" if outside is None else f", or {outside:g} outside the field of view"),
+        got=f"{int(wrong.sum())} cell(s) such as {power[wrong][0]:g}",
+        fix="The file is damaged: fetch it again, or leave the frame out.",
+    )
+
+
+def _impossible(power: Float[np.ndarray, "..."], outside: float | None) -> Bool[np.ndarray, "..."]:
+    """Cells whose power is not finite or negative."""
+    with np.errstate(invalid="ignore"):
+        wrong: np.ndarray = ~((power >= 0) & (power < np.inf)) & (power != (np.nan if outside is None else outside))
+    return wrong
+
+
+def _check_finite(path: Path, values: Float[np.ndarray, "..."]) -> None:
+    if not np.isfinite(values).all():
+        got = f"{int((~np.isfinite(values)).sum())} that are not"
+        raise FileFormatError(path, where="the array", expected="finite numbers", got=got, fix="The file is damaged.")
+
+
+def _sound_blocks(path: Path | str, blocks: Iterable[Float[np.ndarray, "n d"]]) -> Iterator[Float[np.ndarray, "n d"]]:
+    for block in blocks:
+        check_power(path, block)
+        yield block
 
 
 def _columns(product: str, values: Shaped[np.ndarray, "..."]) -> int:
@@ -196,23 +259,33 @@ def read_lidar(path: Path, lidar: str, *, first_ns: int = 0) -> Cloud:
         FileFormatError: If the file is damaged or lacks a field.
     """
     fields = read_pcd(path)
-    missing = [name for name in _FIELDS if name not in fields or fields[name].ndim != 1]
-    if missing:
-        expected, actual = f"fields {' '.join(_FIELDS)}", f"no single {missing[0]!r} a point"
+    lacking = [name for name in _FIELDS if name not in fields or fields[name].ndim != 1]
+    if lacking:
+        expected, actual = f"fields {' '.join(_FIELDS)}", f"no single {lacking[0]!r} a point"
         raise FileFormatError(path, where="FIELDS", expected=expected, got=actual)
     points = np.stack([fields[axis].astype(np.float32) for axis in "xyz"], axis=1)
-    returned = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
+    valid = returned(path, points)
     columns, rest = divmod(len(points), LIDARS[lidar])
     signal = fields["intensity"].astype(np.float32)
-    is_integer = fields["t"].dtype.kind in "iu"
-    time_ns = fields["t"].astype(np.int64) + first_ns if is_integer else fields["t"]
+    check_power(path, signal[valid], name="intensities")
+    time_ns = _times_ns(path, fields["t"], valid) + first_ns
     extra = {"signal": signal, "time_ns": time_ns, "range_mm": fields["range"]}
     extra |= {name: fields[name] for name in ("reflectivity", "ring", "ambient")}
-    if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[returned].all():
+    if columns and not rest and (fields["ring"] == np.arange(len(points)) // columns)[valid].all():
         extra["column"] = (np.arange(len(points)) % columns).astype(np.uint16)
-    with np.errstate(invalid="ignore"):
-        strength = np.clip(np.nan_to_num(signal / np.float32(INTENSITY_COUNTS)), 0, 1).astype(np.float32)
-    return Cloud(points[returned], strength[returned], {name: values[returned] for name, values in extra.items()})
+    strength = np.clip(signal[valid] / np.float32(INTENSITY_COUNTS), 0, 1)
+    return Cloud(points[valid], strength, {name: values[valid] for name, values in extra.items()}, int((~valid).sum()))
+
+
+def _times_ns(path: Path, times: Num[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """The driver's ``t`` in nanoseconds, in the unit that a turn of 0.1 s shows; nanoseconds where it shows none."""
+    is_integer = times.dtype.kind in "iu"
+    column = PointTimeColumn("t", times[valid], path, None, _TURN_NS, usual_unit="ns" if is_integer else None)
+    if is_integer and column.unit() == "ns" and int(times.max(initial=0)) < _FAR_NS:
+        return times.astype(np.int64)  # of points without return too, as they are
+    times_ns = np.zeros(len(times), dtype=np.int64)
+    times_ns[valid] = column.offsets_ns()
+    return times_ns
 
 
 Image3 = UInt8[np.ndarray, "_ _ 3"]
@@ -260,7 +333,7 @@ def read_moments(path: Path | str, axes: RadarAxes = KRADAR_AXES) -> Moments:
         if stream.shape != TESSERACT_SHAPE or stream.dtype.kind != "f":
             expected, actual = f"floating-point numbers of shape {TESSERACT_SHAPE}", f"{stream.dtype} of {stream.shape}"
             raise FileFormatError(path, where="the array", expected=expected, got=actual)
-        reduced = moments_of_columns(stream.blocks(_BLOCK_CELLS), axes)
+        reduced = moments_of_columns(_sound_blocks(path, stream.blocks(_BLOCK_CELLS)), axes)
     return Moments(*(np.ascontiguousarray(values[:, ::-1, ::-1]) for values in reduced))
 
 

@@ -24,7 +24,7 @@ from farfield.radar.products import doppler_cube, moments, polar_cloud, zyx_cube
 RADAR_CLOUD = "radar"
 _SOURCES = (
     *("cells", "sparse", "corridor", "sparse_1p", "cube", "moments", "tesseract"),
-    *("polar_cloud", "polar_cloud_1p", "polar3d"),
+    *("polar_cloud", "polar_cloud_1p", "polar_cloud_5p", "polar_cloud_20p", "polar_cloud_30p", "polar3d"),
 )
 _SPARSE_RATE = 0.01
 _NEARLY_ALL = 0.999

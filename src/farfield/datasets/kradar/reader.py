@@ -13,7 +13,14 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
-from farfield.datasets.kradar.index import FileIndex, KRadarFiles, find_sequences, index_sequence, radar_geometry
+from farfield.datasets.kradar.index import (
+    FileIndex,
+    KRadarFiles,
+    find_sequences,
+    index_sequence,
+    radar_geometry,
+    with_disks,
+)
 from farfield.datasets.kradar.label_table import LabelTable, read_label_table
 from farfield.datasets.kradar.labels import KRadarLabels, annotation_of, read_labels
 from farfield.datasets.kradar.layout import (
@@ -116,7 +123,7 @@ class KRadar(Dataset):
             raise ConfigError(f"KRadar: expected calibration to be one of {', '.join(RELEASES)}; got {calibration!r}")
         self.calibration = calibration
         self.root = Path(root)
-        self.roots = (self.root, *map(Path, roots))
+        self.roots = with_disks((self.root, *map(Path, roots)))
         self._files = FileIndex(self.roots)
         self._geometry = {name: radar_geometry(self.roots, name) for name in find_sequences(self.roots)}
         self._yaw_rad = {name: sequence_yaw_rad(self._files, name) for name in self._geometry}

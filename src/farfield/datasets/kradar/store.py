@@ -276,7 +276,7 @@ def modalities(dataset: Dataset) -> dict[str, tuple[int, int]]:
     for index in range(len(dataset)):
         for path in dataset.files(index):
             modality = next((folders[part] for part in path.parts[-3:-1] if part in folders), None)
-            name = modality or ("labels" if path.suffix == ".txt" else None)
+            name = modality or ("labels" if path.suffix.lower() == ".txt" else None)
             if name is not None and path not in counted_paths:
                 counted_paths.add(path)
                 count, size = counts[name]

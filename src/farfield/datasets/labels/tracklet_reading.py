@@ -25,7 +25,7 @@ from farfield.files.tracklets import (
     tracklet_writer,
 )
 from farfield.frame import Boxes
-from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
+from farfield.frame.cloud import CLOUD_SUFFIXES, CloudSettings, read_cloud
 from farfield.geometry.boxes import count_points_in_boxes
 from farfield.vocabulary.classes import CIRRUS_FROM_TOOLS, normalised_class
 
@@ -228,6 +228,8 @@ def _counts_from_elsewhere(stems: Sequence[str]) -> bool:
 
 # What the numbers stand for.
 
+_PLACES_ALONE = CloudSettings(intensity_scale=np.inf, point_times="none")  # neither a scale nor a unit is in doubt
+
 
 def _decided(
     by_frame: Mapping[ConventionName, Mapping[int, tuple[Cuboid, ...]]],
@@ -242,7 +244,7 @@ def _decided(
     counts = dict.fromkeys(names, 0)
     spread = np.linspace(0, len(frames) - 1, min(len(frames), _SWEEPS_LOOKED_AT)).round().astype(int)
     for frame in (frames[row] for row in spread):
-        points_m = read_cloud(sweeps[frame], bin_columns=bin_columns).points_m.astype(np.float64)
+        points_m = read_cloud(sweeps[frame], _PLACES_ALONE, bin_columns=bin_columns).points_m.astype(np.float64)
         for name in names:
             counts[name] += int(count_points_in_boxes(points_m, _boxes(by_frame[name][frame])).sum())
     best, second = sorted(names, key=lambda name: -counts[name])[:2]

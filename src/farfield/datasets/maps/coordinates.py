@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from farfield.datasets.frame_maps import Earlier
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame, Lazy, Pose, transform_frame
-from farfield.geometry.poses import invert, pose_from_yaw
+from farfield.geometry.poses import check_rigid, invert, pose_from_yaw
 
 _Row = tuple[float, float, float, float]
 
@@ -42,8 +42,7 @@ class Move:
 
     def __post_init__(self) -> None:
         pose = np.asarray(self.target_T_frame, dtype=np.float64)
-        if pose.shape != (4, 4) or not _is_rigid(pose):
-            raise ConfigError(f"move: expected target_T_frame to be a rigid motion, 4 x 4 numbers; got {pose.tolist()}")
+        check_rigid(pose, "move: target_T_frame")
         object.__setattr__(self, "target_T_frame", pose)
 
     @classmethod
@@ -68,12 +67,6 @@ class Move:
         """The frame, moved."""
         del earlier
         return transform_frame(frame, self.pose)
-
-
-def _is_rigid(pose: Float[np.ndarray, "4 4"]) -> bool:
-    turn = pose[:3, :3]
-    upright = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0
-    return bool(np.isfinite(pose).all() and upright and np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]))
 
 
 # The coordinates of another sensor: K-Radar's or View-of-Delft's radar instead of the LiDAR.

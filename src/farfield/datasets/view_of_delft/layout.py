@@ -3,6 +3,8 @@
 from itertools import islice
 from pathlib import Path
 
+from farfield.files.suffixes import any_case
+
 CLOUDS = ("lidar", "radar", "radar_3frames", "radar_5frames")
 """Folders of the data set's root. Images, labels and poses of the radars' folders are links into ``lidar``."""
 
@@ -73,20 +75,20 @@ def is_view_of_delft(root: Path) -> bool:
         trees = find_trees(root, part)
         if trees and trees != {"lidar": root / part} and trees != {"lidar": root}:
             return True
-        if any(_first(tree / "pose", "*.json") for tree in trees.values()):
+        if any(_first(tree / "pose", "*" + any_case(".json")) for tree in trees.values()):
             return True
     return False
 
 
 def _tree(folder: Path, part: str) -> Path | None:
     folders = (folder / part, folder)
-    return next((candidate for candidate in folders if _first(candidate / "velodyne", "*.bin")), None)
+    return next((candidate for candidate in folders if _first(candidate / "velodyne", "*" + any_case(".bin"))), None)
 
 
 def _cloud_of(root: Path, tree: Path) -> str:
     """Name the cloud of a folder opened by itself: by the bytes of its points, then by its name."""
     names = (tree.name, root.name, root.resolve().name, tree.resolve().parent.name)
-    sizes = [path.stat().st_size for path in islice(sorted((tree / "velodyne").glob("*.bin")), 16)]
+    sizes = [path.stat().st_size for path in islice(sorted((tree / "velodyne").glob("*" + any_case(".bin"))), 16)]
     if any(size % (4 * RADAR_COLUMNS) for size in sizes):
         return "lidar"
     if any(size % (4 * LIDAR_COLUMNS) for size in sizes):

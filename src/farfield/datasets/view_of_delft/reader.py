@@ -20,9 +20,9 @@ from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.view_of_delft.layout import CLIPS, PARTS, RADAR_COLUMNS, clip_of, find_trees
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import read_bytes
-from farfield.files.clouds import read_bin
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiObjects, read_calib, read_labels
+from farfield.files.suffixes import any_case, existing
 from farfield.files.view_of_delft import DelftObjects, read_camera_poses, read_objects
 from farfield.frame import (
     Annotation,
@@ -36,7 +36,7 @@ from farfield.frame import (
     Sensor,
     camera_sensor,
 )
-from farfield.frame.cloud import read_cloud
+from farfield.frame.cloud import CloudSettings, read_cloud, read_radar_rows
 from farfield.geometry.kitti import upright_from_camera
 from farfield.geometry.poses import rotation_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_VIEW_OF_DELFT, normalised_class
@@ -47,6 +47,7 @@ RADAR_RATE_HZ = 13.0  # nominal; files count scans and give no times
 IMAGE_PX = (1936, 1216)
 Reference = Literal["lidar", "radar"]
 _HOLDS = {"radar_3frames": ("radar",), "radar_5frames": ("radar", "radar_3frames")}
+_CLOUDS = f"velodyne/*{any_case('.bin')}"
 _COMPANIONS = {"image_2": (".jpg", ".png"), "label_2": (".txt", ".json"), "pose": (".json",), "calib": (".txt",)}
 _NEEDED_POINTS = 3
 
@@ -96,6 +97,7 @@ class ViewOfDelft(Dataset):
             one.
         nominal_times: Give frames the times that their numbers have at the radar's nominal :data:`RADAR_RATE_HZ`, since
             the files give none: good enough to stack sweeps, which need times.
+        intensity_scale: Value that stands for full reflectance of the lidar; the published clouds' own unless given.
 
     Raises:
         DatasetError: If there is no cloud.
@@ -113,6 +115,7 @@ class ViewOfDelft(Dataset):
         classes: Literal["cirrus", "kitti"] = "cirrus",
         reference: Reference | None = None,
         nominal_times: bool = False,
+        intensity_scale: float | int | None = None,
     ) -> None:
         for option, value, choices in (
             ("part", part, PARTS),
@@ -121,12 +124,15 @@ class ViewOfDelft(Dataset):
         ):
             if value not in choices:
                 raise ConfigError(f"view_of_delft: expected {option} to be one of {choices}, got {value!r}")
+        if intensity_scale is not None and not 0 < intensity_scale < np.inf:
+            raise ConfigError(f"intensity_scale: expected a positive number, got {intensity_scale!r}")
         self.root, self.classes, self.nominal_times = Path(root), classes, nominal_times
+        self.scale = REFLECTANCE_FULL if intensity_scale is None else float(intensity_scale)
         self.trees = find_trees(self.root, part)
         if not self.trees:
             raise DatasetError(f"{self.root}: expected clouds in [lidar|radar]/{part}/velodyne/*.bin, found none")
         self.reference: Reference = reference or ("lidar" if "lidar" in self.trees else "radar")
-        self._clouds = {name: {p.stem: p for p in tree.glob("velodyne/*.bin")} for name, tree in self.trees.items()}
+        self._clouds = {name: {p.stem: p for p in tree.glob(_CLOUDS)} for name, tree in self.trees.items()}
         self.frame_ids = tuple(sorted(set().union(*self._clouds.values())))
         self.sequences = tuple(clip_of(frame_id) or part for frame_id in self.frame_ids)
 
@@ -172,7 +178,7 @@ class ViewOfDelft(Dataset):
         trees = list(self.trees.values()) if tree is None else [self.trees[tree]]
         names = [self.frame_ids[index] + suffix for suffix in suffixes or _COMPANIONS[kind]]
         paths = (folder / kind / name for name in names for folder in trees)
-        return next((path for path in paths if path.is_file()), None)
+        return next((file for path in paths if (file := existing(path))), None)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
@@ -232,7 +238,7 @@ class ViewOfDelft(Dataset):
             read: Callable[[], Cloud] = (
                 partial(read_radar, path)
                 if sensor == "radar"
-                else partial(read_cloud, path, bin_columns=4, intensity_scale=REFLECTANCE_FULL)
+                else partial(read_cloud, path, CloudSettings(intensity_scale=self.scale), bin_columns=4)
             )
             if sensor != rig.reference:
                 self._need(index, rig, (sensor, rig.reference), f"{path}: to give it in the {rig.reference}'s frame")
@@ -246,8 +252,8 @@ class ViewOfDelft(Dataset):
         if path is None:
             return None
         region = None if camera is None else CameraField(camera=camera, name="the camera")
-        upright: Reference = "radar" if "radar" in rig.camera_T or path.suffix == ".json" else "lidar"
-        if path.suffix == ".json":
+        upright: Reference = "radar" if "radar" in rig.camera_T or path.suffix.lower() == ".json" else "lidar"
+        if path.suffix.lower() == ".json":
             if rig.reference != "radar":
                 self._need(index, rig, ("radar", rig.reference), f"{path}: its boxes are in the radar's frame")
             read = partial(_read_json, path, self.classes)
@@ -316,7 +322,7 @@ def read_radar(path: Path) -> Cloud:
     Raises:
         FileFormatError: If the file is damaged.
     """
-    rows = read_bin(path, columns=RADAR_COLUMNS)
+    rows, missing = read_radar_rows(path, RADAR_COLUMNS)
     rcs_dbsm = rows[:, 3]
     extra = {
         "rcs_dbsm": rcs_dbsm,
@@ -326,7 +332,8 @@ def read_radar(path: Path) -> Cloud:
         "scan": rows[:, 6],
         "lag_s": np.abs(rows[:, 6]) / np.float32(RADAR_RATE_HZ),
     }
-    return Cloud(rows[:, :3].copy(), None, {name: np.ascontiguousarray(column) for name, column in extra.items()})
+    contiguous = {name: np.ascontiguousarray(column) for name, column in extra.items()}
+    return Cloud(rows[:, :3].copy(), None, contiguous, missing)
 
 
 def radar_velocity_m_s(cloud: Cloud) -> Float[np.ndarray, " 3"] | None:

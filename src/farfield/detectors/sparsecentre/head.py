@@ -113,7 +113,9 @@ class BoxTensors(NamedTuple):
     def of(cls, target: CentreTargets, device: torch.device) -> "BoxTensors":
         """Copy a frame's targets to the device."""
         floats = [target.centre_m, target.size_m, target.yaw_rad, target.weight]
-        centre, size, yaw, weight = (torch.from_numpy(np.asarray(part)).float().to(device) for part in floats)
+        centre, size, yaw, weight = (
+            torch.tensor(np.asarray(part), dtype=torch.float32, device=device) for part in floats
+        )
         return cls(centre, size, yaw, torch.from_numpy(target.kind).to(device), weight)
 
 

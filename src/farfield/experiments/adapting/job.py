@@ -50,6 +50,7 @@ from farfield.experiments.frames import spread
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
+from farfield.files.sizes import sized
 from farfield.jobs import JobOptions
 from farfield.metrics.detections import Detections
 from farfield.metrics.score_calibration import thresholds_of
@@ -340,8 +341,8 @@ class AdaptationJob:
         else:
             simulation = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
             recording = planned_recording(simulation, self.folder / FOLDER)
-            room = bytes_needed(recording, sum(recording.plan)) / 1e9
-            source = f"{sum(recording.plan)} frames of {simulation.preset}, simulated, at most {room:.2f} GB"
+            most = sized(bytes_needed(recording, sum(recording.plan)))
+            source = f"{sum(recording.plan)} frames of {simulation.preset}, simulated, at most {most}"
         searched = f"{len(self.target[1])} sweeps searched {choices.rounds + 1} times"
         limit = f", or fewer: {choices.minutes:g} minutes" if choices.minutes else ""
         return [f"source: {source}", f"{searched}, {choices.rounds} rounds of {steps} steps{limit}"]

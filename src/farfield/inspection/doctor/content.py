@@ -5,15 +5,16 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.class_mapping import MAPPING_NAME
+from farfield.datasets.maps.coordinates import Move
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud
+from farfield.inspection.axes_and_units import forward_doubt, unit_of_boxes, unit_of_points, upright_doubt
 from farfield.inspection.doctor.conventions import count_points, ground_height_m
 from farfield.inspection.doctor.survey import Finding, Survey, counted
-from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class, normalised_class, unit_of_sizes
+from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class, normalised_class
 
 _LARGEST_VALUE, _MOST_RINGS, _RING_NAMES = 1e20, 1024, ("ring", "laser", "line", "channel")
 RANGE_BINS_M = (0.0, 70.0, 150.0, 250.0, np.inf)
@@ -67,7 +68,9 @@ def check_clouds(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             )
             yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", fix=fix)
         yield from _doubtful_columns(name, loaded)
-        yield from _units_of_points(name, points, reach_m)
+        doubt = unit_of_points(points.astype(np.float64))
+        if doubt is not None:
+            yield Finding(severity="fail", topic=doubt.topic, what=doubt.what, where=name, fix=doubt.fix)
 
 
 def _doubtful_columns(name: str, read: Sequence[Cloud]) -> Iterator[Finding]:
@@ -94,27 +97,6 @@ def _scale_text(survey: Survey, name: str) -> str:
         return ""
     decided = "decided from the data" if reader.mapping.xyz.intensity_scale == "auto" else "given"
     return f" of full scale {reader.intensity_scale[name]:g} ({decided})"
-
-
-_UNITS = {"centimetres": 100.0, "millimetres": 1000.0}
-_MEDIAN_RANGE_M, _HEIGHTS_M = 20.0, 3.0
-"""Of a sweep of a road: the median of the points' ranges, and the height between their 5 % and 95 % quantiles."""
-
-
-def _small_unit(points: Float32[np.ndarray, "n 3"]) -> str:
-    """The unit in which a sweep looks most like one of a road: the farthest point alone cannot tell 250 m from 25 m."""
-    middle = float(np.median(np.hypot(points[:, 0], points[:, 1])))
-    low, high = np.quantile(points[:, 2], (0.05, 0.95))
-    log_ratios = np.log([max(middle, 1e-6) / _MEDIAN_RANGE_M, max(float(high - low), 1e-6) / _HEIGHTS_M])
-    return min(_UNITS, key=lambda unit: float(np.abs(log_ratios - np.log(_UNITS[unit])).sum()))
-
-
-def _units_of_points(name: str, points: Float32[np.ndarray, "n 3"], reach_m: float) -> Iterator[Finding]:
-    unit = _small_unit(points) if reach_m > 1_500 else ""
-    unit = "kilometres or another large unit" if reach_m < 1.0 else unit
-    if unit:
-        what = f"the farthest point lies at {reach_m:.3g}: the cloud seems to be in {unit}"
-        yield Finding(severity="fail", topic="units", what=what, where=name, fix="Bring the points to metres.")
 
 
 def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -186,10 +168,9 @@ def check_sizes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         return
     longest = float(np.median(boxes.size_m.max(axis=1)))
     facts["median_longest_side_m"] = round(longest, 3)
-    unit = unit_of_sizes(longest)
-    if unit:
-        what = f"the median box is {longest:.3g} long: sizes seem to be in {unit}"
-        yield Finding(severity="fail", topic="units", what=what, fix="Bring sizes and positions to metres.")
+    doubt = unit_of_boxes(boxes)
+    if doubt is not None:
+        yield Finding(severity="fail", topic=doubt.topic, what=doubt.what, fix=doubt.fix)
         return
     yield from _order_of_sizes(boxes)
     limits = np.array([_LARGEST_M.get(label, (60.0, 20.0, 20.0)) for label in np.asarray(boxes.label).tolist()])
@@ -272,33 +253,25 @@ def _count_doubled(boxes: Boxes) -> int:
     return int(np.triu(same, 1).any(axis=0).sum())
 
 
-# Which way is up: clouds whose z points down, cameras that lie on their side or whose pose is the inverse.
+# Which way is up, and ahead: axes of clouds; cameras that lie on their side or whose pose is the inverse.
 
-_LEAST_POINTS = 1_000
-_LAYER_M = 0.2
-_BESIDE_M = 0.5
 _STANDING = 0.7  # cosine between the image's down and the ground's: 45 degrees
 
 
 def check_clouds_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
-    """Look for the densest layer, the ground: the rest of a cloud stands above it."""
+    """Look which way is up, and which way the road leads; in a wrong unit neither can be told."""
     del facts
-    points = [sample.points_m for sample in survey.samples]
-    z = np.concatenate(points)[:, 2] if points else np.zeros(0)
-    z = z[np.isfinite(z)]
-    if len(z) < _LEAST_POINTS:
+    samples = [sample for sample in survey.samples if len(sample.points_m)]
+    points = np.concatenate([sample.points_m for sample in samples]) if samples else np.zeros((0, 3))
+    points = points[np.isfinite(points).all(axis=1)]
+    annotated = survey.all_boxes()
+    if unit_of_points(points) is not None or unit_of_boxes(annotated) is not None:
         return
-    low, high = np.percentile(z, [0.1, 99.9])
-    counts, edges = np.histogram(z, np.arange(low, high + 2 * _LAYER_M, _LAYER_M))
-    ground = float(edges[counts.argmax()] + _LAYER_M / 2)
-    above, below = float((z > ground + _BESIDE_M).mean()), float((z < ground - _BESIDE_M).mean())
-    if ground > _BESIDE_M and below > 0.02 and above < 0.2 * below:
-        what = (
-            f"the densest layer lies {ground:.1f} m above the sensor, {below:.0%} of the points below it and "
-            f"{above:.0%} above: z seems to point down"
-        )
-        fix = "z points up and y left: from axes x ahead, y right, z down change the sign of y and z, of boxes too."
-        yield Finding(severity="fail", topic="axes", what=what, fix=fix)
+    turned = any(isinstance(function, Move) for function in survey.dataset.maps)  # then ahead is where was asked for
+    for doubt in (upright_doubt(points), None if turned else forward_doubt(points, annotated)):
+        if doubt is not None:
+            severity = "fail" if doubt.certain else "warn"
+            yield Finding(severity=severity, topic=doubt.topic, what=doubt.what, fix=doubt.fix)  # type: ignore[arg-type]
 
 
 def check_cameras_upright(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:

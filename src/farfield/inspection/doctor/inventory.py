@@ -10,6 +10,7 @@ from jaxtyping import Int64
 
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.folder import Folder
+from farfield.datasets.unread import unread_files
 from farfield.errors import FarfieldError
 from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.survey import Finding, Survey, counted
@@ -40,6 +41,8 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     images = ", ".join(f"{number} of {name}" for name, number in survey.images.items())
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
     yield _calibration(survey)
+    for what in unread_files(survey.dataset.root) if survey.dataset.root.is_dir() else ():
+        yield Finding(severity="warn", topic="files", what=what, fix="Convert them, or move them elsewhere.")
     for error in survey.damaged[:5]:
         yield Finding(severity="fail", topic="damaged", what=error, fix="Fix or remove the file.")
     if len(survey.damaged) > 5:
@@ -47,6 +50,10 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _calibration(survey: Survey) -> Finding:
+    notes = survey.dataset.unwrapped.notes
+    if notes:
+        fix = "Clouds and pictures are read without it; boxes cannot be drawn into the pictures."
+        return Finding(severity="warn", topic="calibration", what="; ".join(notes), fix=fix)
     if survey.cameras or not survey.images:
         what = f"cameras {', '.join(sorted(survey.cameras))}" if survey.cameras else "no calibration"
         return Finding(severity="ok", topic="calibration", what=what)

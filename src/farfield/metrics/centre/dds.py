@@ -22,7 +22,7 @@ from farfield.metrics.centre.protocol import CentrePresenter, CentreProtocol, di
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import BoxesByFrame
-from farfield.metrics.presenting import Presentation, Words
+from farfield.metrics.presenting import Presentation, Words, by_number
 from farfield.metrics.result import Result, table, value_at
 
 
@@ -47,7 +47,10 @@ class DdsResult(Result):
                 rows.append([name, *boxes, f"{epsilon:g}", *figures])
         title = f"DDS (epsilon 0) and wDDS of {self.label!r}, by range in metres; '-': nothing annotated"
         head = ["range", "annotated", "predicted", "epsilon", "DDS", "mAP", "aIoU"]
-        return f"{title}\n\n{table(head, rows)}\n\n{self.footer()}"
+        limit = self.settings["aiou_threshold_m"]
+        within = f"within {limit:g} m" if isinstance(limit, int | float) else "within the least threshold"
+        matches = f"aIoU of the whole: mean over {self.counts['matches']} matches {within}"
+        return f"{title}\n\n{table(head, rows)}\n\n{matches}\n{self.footer()}"
 
 
 def evaluate_dds(
@@ -91,7 +94,7 @@ class DdsPresenter(CentrePresenter):
 
     def presentation(self, result: Mapping[str, Any]) -> Presentation:
         """DDS with its mAP, wDDS, and what they are made of."""
-        epsilons = sorted(result.get("dds") or {}, key=float)
+        epsilons = by_number(result.get("dds") or {}, "dds")
         scores = [f"dds/{epsilon}/dds" for epsilon in epsilons]
         first = epsilons[0] if epsilons else "0"
         return Presentation(

@@ -9,12 +9,6 @@ The steps of :func:`evaluate_centre`; formulas of the scores stand in :mod:`~far
     3. rank          matches and false positives by confidence, for the region and each range bin, with the errors of
                      the matches: distance, 1 - IoU of sizes, heading, 1 - aligned IoU
     4. average       AP over thresholds and aIoU over matches, for weights of 1 (the result) and for bootstrap draws
-
-Intervals over objects (:func:`object_intervals`) are for frames too few to be drawn: annotated objects are drawn with
-replacement, each with all its boxes and with what was matched to them. It is assumed that objects are found or missed
-independently of each other, that the frames' false positives stay what they are whichever objects are drawn, and that
-matches stay too. Frames of one scene share weather, sensor and place, which no drawing of their objects varies: the
-interval is that of this scene, not of others.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,12 +24,9 @@ from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
 from farfield.geometry.iou import aligned_iou
 from farfield.metrics.bootstrap import (
-    Bootstrap,
     Draws,
     Statistics,
-    percentile_interval,
     point_and_intervals,
-    replicate_weights,
 )
 from farfield.metrics.centre.matching import DROPPED, Limits, greedy_match, rank_predictions
 from farfield.metrics.centre.settings import CentreSettings
@@ -50,6 +41,7 @@ from farfield.metrics.frames import (
     has_label,
     in_range,
     in_region,
+    nearest_first,
 )
 
 Variant = tuple[float, float]  # epsilon, threshold in metres
@@ -102,13 +94,14 @@ def evaluate_centre(
             "frames": len(frames),  # with a prediction or an annotated box that counts
             "frames_given": len(annotations),  # all annotated ones, empty ones too
             **counts.pop("overall"),
+            "matches": _matches(parts["overall"], settings),  # that carry aIoU and the errors
             "predictions_over_limit": boxes.over_limit,
             "ranges": counts,
         },
         "intervals": intervals,
         "grouped_by": boxes.grouped_by,
         "curves": {name: _curves(part, settings) for name, part in parts.items()},
-        "notes": tuple(low_recall_notes(parts, point, settings)),
+        "notes": (*low_recall_notes(parts, point, settings), *_few_matches(parts["overall"], settings)),
     }
 
 
@@ -186,7 +179,7 @@ def gather(
     # flatten takes one frame at a time, since they may lie on the disk; the stream counts what it passes on
     stream = _PredictionStream(predictions, keys, settings)
     predicted = flatten(stream, scored=True)
-    annotated = flatten((annotations[key] for key in keys), scored=False)
+    annotated = flatten((_in_order(annotations[key], settings) for key in keys), scored=False)
     annotated_frame = np.repeat(np.arange(len(keys)), [len(annotations[key].yaw_rad) for key in keys])
     ignored = np.zeros(len(annotated), dtype=bool)
     for name in settings.ignore:
@@ -217,7 +210,7 @@ class _PredictionStream:
     def __iter__(self) -> Iterator[Boxes]:
         for frame, key in enumerate(self.keys):
             if key in self.predictions:
-                boxes = self.predictions[key]
+                boxes = _in_order(self.predictions[key], self.settings)
                 check_scores(boxes)
                 mask = np.ones(len(boxes), dtype=bool)
                 if len(boxes) > self.settings.max_boxes and boxes.score is not None:
@@ -226,6 +219,11 @@ class _PredictionStream:
                 mask &= has_label(boxes, self.settings.label, self.settings.relabel) & in_region(boxes, self.settings)
                 self.per_frame[frame] = np.count_nonzero(mask)
                 yield boxes[mask]
+
+
+def _in_order(boxes: Boxes, settings: CentreSettings) -> Boxes:
+    """The boxes of a frame in the order that decides between equal scores and equal distances."""
+    return boxes[nearest_first(boxes)] if settings.ties == "nearest_first" and len(boxes) > 1 else boxes
 
 
 def _enough_points(boxes: Boxes, least: int) -> Bool[np.ndarray, " n"]:
@@ -514,86 +512,20 @@ def low_recall_notes(
     return notes
 
 
-# Intervals over objects
+_FEW_MATCHES = 10
 
 
-@dataclass(frozen=True, kw_only=True)
-class ObjectIntervals:
-    """Intervals of the figures of all ranges together.
-
-    Args:
-        objects: How many different objects were drawn.
-        intervals: [low, high] by figure, as ``dds/0/dds``; None where two objects or more are wanting.
-    """
-
-    objects: int
-    intervals: Mapping[str, tuple[float, float] | None]
+def _matches(part: PartRankings, settings: CentreSettings) -> int:
+    """Matches at the first epsilon within the distance at which aIoU and errors are taken."""
+    return int(part.ranking[settings.epsilons[0], settings.error_thresholds_m[0]].is_match.sum())
 
 
-def object_intervals(
-    predictions: BoxesByFrame,
-    annotations: BoxesByFrame,
-    settings: CentreSettings,
-    *,
-    bootstrap: Bootstrap | None = None,
-) -> ObjectIntervals:
-    """Percentile intervals over drawn objects.
-
-    Args:
-        predictions: Scored boxes by (sequence, frame).
-        annotations: Annotated boxes by (sequence, frame): every frame that counts. Boxes of one sequence with one
-            ``track_id`` are one object; where there are no identities, or they are negative, each box is one, which
-            makes intervals too narrow where frames show the same objects.
-        settings: The options of the score.
-        bootstrap: How to draw; that of the settings unless given.
-
-    Raises:
-        ConfigError: If predictions lie in frames that are not annotated, or lack scores.
-    """
-    boxes = with_confidences(gather(predictions, annotations, settings), settings)
-    part, count = _rank_by_object(boxes, match_boxes(boxes, settings), settings, _object_of_box(boxes, annotations))
-    drawing = bootstrap or settings.bootstrap
-    if count < 2 or drawing.replicates < 2:
-        figures = figures_of_part(part, settings, np.ones((1, count + 1)))
-        return ObjectIntervals(objects=count, intervals=dict.fromkeys(figures))
-    drawn = replicate_weights(count, drawing.replicates, np.random.default_rng(drawing.seed))
-    weights = np.column_stack([drawn, np.ones(len(drawn))])  # the last group is that of false positives
-    spans = {
-        name: percentile_interval(values, drawing.level, least=1)
-        for name, values in figures_of_part(part, settings, weights).items()
-    }
-    return ObjectIntervals(
-        objects=count, intervals={name: None if span is None else (span[0], span[1]) for name, span in spans.items()}
-    )
-
-
-def _object_of_box(boxes: CentreBoxes, annotations: BoxesByFrame) -> Int[np.ndarray, " m"]:
-    """A number of the object of each gathered annotated box: boxes there are known by frame and centre."""
-    number_of: dict[tuple[str, int], int] = {}
-    by_centre: dict[tuple[int, bytes], int] = {}
-    for frame, key in enumerate(sorted(annotations, key=frame_order)):
-        frame_boxes = annotations[key]
-        track_id = np.full(len(frame_boxes), -1) if frame_boxes.track_id is None else frame_boxes.track_id
-        for row, track in enumerate(track_id.tolist()):
-            identity = (f"{key} {row}", -1) if track < 0 else (key[0], track)
-            by_centre[frame, frame_boxes.centre_m[row].tobytes()] = number_of.setdefault(identity, len(number_of))
-    rows = zip(boxes.annotated_frame.tolist(), boxes.annotated.centre_m, strict=True)
-    return np.array([by_centre[frame, centre.tobytes()] for frame, centre in rows], dtype=np.int64)
-
-
-def _rank_by_object(
-    boxes: CentreBoxes, matches: GreedyMatches, settings: CentreSettings, object_of_box: Int[np.ndarray, " m"]
-) -> tuple[PartRankings, int]:
-    """The whole region as one part whose groups are the objects, and how many these are."""
-    part = rank(boxes, matches, settings)
-    objects = np.unique(object_of_box[~boxes.ignored])
-    number = np.searchsorted(objects, object_of_box)  # of ignored boxes' objects: never read, as they are dropped
-    annotated = np.append(np.bincount(number[~boxes.ignored], minlength=len(objects)), 0)
-    rankings = {}
-    for variant, ranking in part.ranking.items():
-        assigned = matches.assigned[variant]
-        rows = matches.order[(assigned != DROPPED)[matches.order]]  # the predictions in the order of the ranking
-        group: Int[np.ndarray, " n"] = np.full(len(rows), len(objects))
-        group[ranking.is_match] = number[assigned[rows[ranking.is_match]]]
-        rankings[variant] = replace(ranking, group=group, annotated=annotated)
-    return replace(part, ranking=rankings), len(objects)
+def _few_matches(part: PartRankings, settings: CentreSettings) -> Iterator[str]:
+    """A note where a few matches of many objects, which may be chance, carry aIoU and the errors."""
+    matches, limit = _matches(part, settings), settings.error_thresholds_m[0]
+    if 0 < matches < min(_FEW_MATCHES, part.annotated):
+        figures = "aIoU, which is half of DDS, and the errors are those" if settings.with_aiou else "errors are those"
+        yield (
+            f"{figures} of {matches} match{'es' * (matches > 1)} within {limit:g} m alone, of {part.annotated} "
+            "annotated objects: so few may be chance; mAP says what is found"
+        )

@@ -44,8 +44,8 @@ def rank_predictions(
     Args:
         score: Scores, shape (n,).
         frame: Frame number of each prediction, shape (n,).
-        ties: ``"stable"`` puts the earlier frame and the earlier index first; ``"later_first"`` the later index, as
-            the nuScenes devkit does.
+        ties: ``"later_first"`` puts the later index first, as the nuScenes devkit does; any other value the earlier
+            frame and the earlier index.
     """
     index = np.arange(len(score))
     if ties == "later_first":

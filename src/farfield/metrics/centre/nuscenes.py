@@ -8,7 +8,9 @@ A prediction matches the nearest free annotated box if their centres in the x-y 
     scale error        1 - IoU of the sizes, aligned           } confidence, averaged over the recalls from 0.11 to the
     orientation error  difference of the headings, radians     } highest one reached
 
-Score ties are broken as the devkit does (later index first). Velocity and attributes are not scored, hence no NDS.
+Of equal scores the nearer box comes first, so that no figure depends on the order of a file's lines; the devkit puts
+the later line first, as ``ties="later_first"`` does, and its mean errors change with that order. Velocity and
+attributes are not scored, hence no NDS.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -36,7 +38,7 @@ class NuScenesSettings(CentreSettings):
     epsilons: tuple[float, ...] = (0.0,)
     distance: Literal["3d", "bev"] = "bev"
     region: Literal["window", "range", "none"] = "none"
-    ties: Literal["stable", "later_first"] = "later_first"
+    ties: Literal["nearest_first", "stable", "later_first"] = "nearest_first"
     scores: Literal["rank", "raw", "sigmoid", "auto"] = "auto"
 
 

@@ -18,7 +18,7 @@ from farfield.metrics.centre.evaluation import (
 )
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.detections import Detections, Protocol
-from farfield.metrics.presenting import CurveLine, CurvePanel, Presenter, curve_line
+from farfield.metrics.presenting import CurveLine, CurvePanel, Presenter, by_number, curve_level, curve_line
 
 
 class CentrePresenter(Presenter):
@@ -26,7 +26,8 @@ class CentrePresenter(Presenter):
 
     def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
         """Curves by largest distance, a panel for each epsilon that the page shows."""
-        curves = (result.get("curves") or {}).get("overall") or {}
+        curves = curve_level((result.get("curves") or {}).get("overall"), "overall")
+        by_number(curves, "curves")
         return [
             CurvePanel(self.panel_title(name), _lines(name, curves[name])) for name in self.shown_epsilons(list(curves))
         ]
@@ -76,18 +77,19 @@ def _mean_of_bins(
     return mean_of_bins([figures_of_part(part, settings, weights) for part in bins.values()])
 
 
-def _lines(epsilon: str, curves: Mapping[str, Any]) -> tuple[CurveLine, ...]:
-    named = {f"within {float(name):g} m": curves[name] for name in sorted(curves, key=float)}
+def _lines(epsilon: str, node: Any) -> tuple[CurveLine, ...]:
+    curves = curve_level(node, f"of epsilon {epsilon}")
+    named = {f"within {float(name):g} m": curves[name] for name in by_number(curves, "curves")}
     lines = (curve_line(name, curve, (f"of epsilon {epsilon}",)) for name, curve in named.items())
     return tuple(line for line in lines if line is not None)
 
 
 def distances(result: Mapping[str, Any]) -> tuple[str, ...]:
     """Names of the APs of a result, by rising distance."""
-    return tuple(f"ap/{name}" for name in sorted(result.get("ap") or {}, key=float))
+    return tuple(f"ap/{name}" for name in by_number(result.get("ap") or {}, "ap"))
 
 
 def distance_words(result: Mapping[str, Any]) -> str:
     """The distances of a result's APs, such as ``"0.5, 1, 2 or 4 m"``."""
-    names = [f"{float(name):g}" for name in sorted(result.get("ap") or {}, key=float)]
+    names = [f"{float(name):g}" for name in by_number(result.get("ap") or {}, "ap")]
     return f"{' or '.join([', '.join(names[:-1]), names[-1]] if len(names) > 1 else names)} m" if names else "a limit"

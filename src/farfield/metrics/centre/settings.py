@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 
 from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.options import check_range_bins, json_options, option_text
+from farfield.metrics.options import check_numbers, check_range_bins, json_options, option_text
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "distance": ("3d", "bev"),
@@ -22,7 +22,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "aiou_mean": ("nuscenes", "tp_mean"),
     "range_assign": ("filter", "match_then_bin"),
     "region": ("window", "range", "none"),
-    "ties": ("stable", "later_first"),
+    "ties": ("nearest_first", "stable", "later_first"),
     "scores": ("rank", "raw", "sigmoid", "auto"),
 }
 
@@ -53,7 +53,9 @@ class CentreSettings:
         window_m: x from, x to, y from, y to, both ends included.
         min_points: Annotated boxes known to hold fewer points are removed (row 14).
         max_boxes: Only so many predictions a frame count, the best of all classes (row 15).
-        ties: Order of equal scores (row 15), see :func:`farfield.metrics.centre.matching.rank_predictions`.
+        ties: Order of equal scores (row 15): ``"nearest_first"``, see :func:`farfield.metrics.frames.nearest_first`, on
+            which the order of a file's lines does not bear; or an order of lines, see
+            :func:`farfield.metrics.centre.matching.rank_predictions`.
         scores: Confidence used for resampling (row 17): dense rank in (0, 1], as given, logistic, or ``"auto"``:
             logistic if any score lies outside [0, 1], else as given.
         bootstrap: How intervals are drawn.
@@ -82,7 +84,7 @@ class CentreSettings:
     window_m: tuple[float, float, float, float] = (0.0, 250.0, -50.0, 50.0)
     min_points: int = 0
     max_boxes: int = 500
-    ties: Literal["stable", "later_first"] = "stable"
+    ties: Literal["nearest_first", "stable", "later_first"] = "nearest_first"
     scores: Literal["rank", "raw", "sigmoid", "auto"] = "rank"
     bootstrap: Bootstrap = field(default_factory=Bootstrap)
 
@@ -91,6 +93,7 @@ class CentreSettings:
             if getattr(self, name) not in choices:
                 raise ConfigError(f"{name}: expected one of {', '.join(choices)}, got {getattr(self, name)!r}")
         check_range_bins(self.range_bins_m)
+        check_numbers(self)
         if not self.thresholds_m or min(self.thresholds_m) <= 0 or len(set(self.thresholds_m)) < len(self.thresholds_m):
             raise ConfigError(f"thresholds_m: expected different positive distances, got {self.thresholds_m}")
         if not self.epsilons or min(self.epsilons) < 0 or len(set(self.epsilons)) < len(self.epsilons):

@@ -18,6 +18,7 @@ from farfield.metrics.frames import (
     frame_order,
     group_frames,
     has_label,
+    nearest_first,
     same_owner,
 )
 from farfield.metrics.kradar.settings import KRadarSettings
@@ -27,7 +28,7 @@ Visibility = Mapping[Key, Sequence[str]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScoredBoxes:
-    """Predicted or annotated boxes of the scored classes, ordered by frame, class and place in the file.
+    """Predicted or annotated boxes of the scored classes, ordered by frame and class, then as the settings say.
 
     Args:
         box: x, y, z (radar's frame), length, width, height, yaw, shape (n, 7).
@@ -146,10 +147,12 @@ def _side(parts: list[Boxes], settings: KRadarSettings, *, seen_by: np.ndarray |
         kind[has_label(boxes, name, settings.relabel)] = number
     frame = np.repeat(np.arange(len(parts)), [len(part.yaw_rad) for part in parts])
     rows = np.flatnonzero(kind >= 0)
-    rows = rows[np.argsort(frame[rows] * len(settings.classes) + kind[rows], kind="stable")]
-    centre_m = boxes.centre_m[rows]
     if settings.boxes_in == "os2-64":
-        centre_m = centre_m - np.array(settings.origin_m)
+        boxes = boxes.replace(centre_m=boxes.centre_m - np.array(settings.origin_m))
+    owner = frame[rows] * len(settings.classes) + kind[rows]
+    nearest = settings.order == "nearest_first"
+    rows = rows[nearest_first(boxes[rows], owner) if nearest else np.argsort(owner, kind="stable")]
+    centre_m = boxes.centre_m[rows]
     box = np.column_stack([centre_m, boxes.size_m[rows], boxes.yaw_rad[rows]])
     return ScoredBoxes(
         box=box,

@@ -12,7 +12,7 @@ from farfield.metrics.frames import BoxesByFrame, labels_of
 from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar, weighted_kradar
 from farfield.metrics.kradar.settings import VARIANTS, KRadarSettings, kradar_settings
 from farfield.metrics.options import option_text
-from farfield.metrics.presenting import CurvePanel, HitRule, Presentation, Presenter, panels
+from farfield.metrics.presenting import CurvePanel, HitRule, Presentation, Presenter, curve_level, panels
 from farfield.metrics.result import figure_names
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRADAR
 
@@ -54,12 +54,12 @@ class KRadarPresenter(Presenter):
 
     def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
         """A panel for each class and overlap, in space first."""
-        curves = (result.get("curves") or {}).get("overall") or {}
         shown = []
-        for label, measures in curves.items():
+        for label, node in curve_level((result.get("curves") or {}).get("overall"), "overall").items():
+            measures = curve_level(node, label)
             for measure in sorted(measures):
                 title = f"{label.replace('_', ' ')}, {_MEASURES.get(measure, measure)}"
-                named = {f"overlap {iou}": curve for iou, curve in measures[measure].items()}
+                named = {f"overlap {iou}": curve for iou, curve in curve_level(measures[measure], title).items()}
                 shown += [CurvePanel(title, panel.lines) for panel in panels(named)]
         return shown
 
@@ -85,6 +85,7 @@ class KRadarProtocol(Protocol):
 
         The coordinates of the boxes and the annotations' version are those of the detections. ``label`` is one class.
         """
+        options = self.with_own_relabel(options)
         label, relabel = options.pop("label", None), options.get("relabel", CIRRUS_FROM_ANY_KRADAR)
         if label is not None:
             options["classes"] = (relabel.get(label, label),)
@@ -105,6 +106,7 @@ class KRadarProtocol(Protocol):
 
     def labels(self, boxes: BoxesByFrame, **options: Any) -> tuple[str, ...]:
         """The classes of the settings that occur, the most frequent first."""
+        options = self.with_own_relabel(options)
         settings = kradar_settings(
             str(self), **{name: options[name] for name in ("relabel", "classes") if name in options}
         )

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from farfield.errors import ConfigError
 from farfield.metrics.bootstrap import Bootstrap
-from farfield.metrics.options import check_range_bins, json_options, option_text
+from farfield.metrics.options import check_numbers, check_range_bins, json_options, option_text
 from farfield.metrics.recall_sampling import RECALL_POINTS
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
 from farfield.vocabulary.kradar import KRADAR_ORIGIN_M, REGIONS_M, Bounds
@@ -25,6 +25,7 @@ _CHOICES: dict[str, tuple[object, ...]] = {
     "empty_frames": ("counted", "dropped"),
     "outside": ("dropped", "kept"),
     "yaw": ("correct", "as_shipped"),
+    "order": ("nearest_first", "file"),
     "z_center": (0.5, 1.0),
 }
 _FIRST = (
@@ -39,6 +40,7 @@ _FIRST = (
     "outside",
     "decimals",
     "sampling",
+    "order",
 )
 
 
@@ -67,6 +69,9 @@ class KRadarSettings:
         z_center: Share of the height that lies below z: 0.5 where z is the centre; 1.0 takes z as the top, as the
             kit's first evaluation does.
         decimals: Annotated values are rounded to so many decimals first, as in the kit's text files; None: not.
+        order: In which annotated boxes choose their predictions, and which of equal scores or overlaps is first:
+            ``"nearest_first"`` to the radar, so that the order of a file's lines bears on no figure, or ``"file"``, as
+            in the kit.
         label_version: Of the annotation, such as ``"v2.1"``; it stands beside the result.
         range_bins_m: Edges of the half-open range bins; both kinds of boxes are cut by their own range from the radar.
         bootstrap: How intervals are drawn.
@@ -90,11 +95,13 @@ class KRadarSettings:
     yaw: Literal["correct", "as_shipped"] = "correct"
     z_center: float = 0.5
     decimals: int | None = None
+    order: Literal["nearest_first", "file"] = "nearest_first"
     label_version: str = "not stated"
     range_bins_m: tuple[float, ...] = (0.0, 20.0, 40.0, 60.0, 80.0)
     bootstrap: Bootstrap = field(default_factory=Bootstrap)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name, choices in _CHOICES.items():
             if getattr(self, name) not in choices:
                 expected = ", ".join(map(str, choices))
@@ -171,6 +178,7 @@ _KIT: dict[str, Any] = {
     "outside": "kept",
     "decimals": 2,
     "sampling": "gaps",
+    "order": "file",
 }
 _OLD: dict[str, Any] = {"recall_points": 11, "z_center": 1.0, **_KIT}
 _REVISED: dict[str, Any] = {"recall_points": 41, "z_center": 0.5, **_KIT}

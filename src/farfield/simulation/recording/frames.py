@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.errors import DatasetError, plain
 from farfield.files.atomic import write_text
+from farfield.files.sizes import room
 from farfield.frame.provenance import SIMULATION_FILE, SIMULATION_JOURNAL
 from farfield.jobs import JobJournal, Unit, UnitResult
 from farfield.jobs.folders import STAGING
@@ -200,8 +201,8 @@ def check_disk(recording: Recording, count: int) -> None:
     free, needed = shutil.disk_usage(recording.out).free, bytes_needed(recording, count)
     if round(needed) > free:
         raise DatasetError(
-            f"{recording.out}: {count} frames need about {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are free. Write "
-            "fewer frames (--frames), fewer sensors (--sensors), or to another disk."
+            f"{recording.out}: for {count} frames about {room(needed, free)}. Write fewer frames (--frames), fewer "
+            "sensors (--sensors), or to another disk."
         )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
+from farfield.files.sizes import sized
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.jobs import JobOptions, JobRun, Unit
 from farfield.jobs.journal import mark_of, state_of
@@ -121,8 +122,8 @@ def announced(recording: Recording, count: int, processes: int) -> Iterator[str]
 
     preset, seed, plan = recording.preset, recording.seed, recording.plan
     yield f"preset {preset.name}, seed {seed}: {sum(plan)} frames in {len(plan)} sequences, {count} still to write"
-    needed_gb = bytes_needed(recording, count) / 1e9
-    yield f"  {', '.join(recording.sensors)}; every {preset.stride_s:g} s; at most {needed_gb:.2f} GB"
+    most = sized(bytes_needed(recording, count))
+    yield f"  {', '.join(recording.sensors)}; every {preset.stride_s:g} s; at most {most}"
     if len(plan) > 1 and max(plan) == 1:
         yield (
             f"  note: {len(plan)} drives of one frame each, another road and weather every time: nothing follows a "

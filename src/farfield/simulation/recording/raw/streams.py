@@ -17,6 +17,7 @@ import numpy as np
 
 from farfield.errors import DatasetError
 from farfield.files.atomic import write_text
+from farfield.files.sizes import room, sized
 from farfield.frame.provenance import SIMULATION_JOURNAL
 from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.jobs.folders import STAGING
@@ -120,8 +121,8 @@ def _announce(recording: Recording, missing: int, count: int, report: Callable[[
         f"preset {recording.preset.name}, seed {recording.seed}: {sum(recording.plan) * SWEEP_PERIOD_S:g} s of raw "
         f"streams in {len(recording.plan)} bags, {missing} of {count} files still to write"
     )
-    room = f"at most {_bytes_needed(recording, missing / count) / 1e9:.2f} GB"
-    report(f"  {', '.join(streams_of(recording))}; {room}; into {recording.out}")
+    most = sized(_bytes_needed(recording, missing / count))
+    report(f"  {', '.join(streams_of(recording))}; at most {most}; into {recording.out}")
 
 
 def _bytes_needed(recording: Recording, share: float) -> float:
@@ -144,8 +145,8 @@ def _check_room(recording: Recording, share: float) -> None:
     free = shutil.disk_usage(recording.out).free
     if needed > free:
         raise DatasetError(
-            f"{recording.out}: {sum(recording.plan)} sweeps need about {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are "
-            "free. Record less (--frames), fewer sensors (--sensors), or to another disk."
+            f"{recording.out}: for {sum(recording.plan)} sweeps about {room(needed, free)}. Record less (--frames), "
+            "fewer sensors (--sensors), or to another disk."
         )
 
 
