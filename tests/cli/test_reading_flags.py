@@ -84,6 +84,41 @@ def test_compare_reads_each_data_set_with_the_flags_that_it_knows(
     assert "'tracklets'" in capsys.readouterr().err
 
 
+def test_compare_takes_the_flag_of_one_side_before_that_of_both(tmp_path: Path) -> None:
+    rows = np.column_stack([np.tile([[5.0, 1, 0]], (64, 1)), np.linspace(0, 200, 64), np.arange(64)]).astype("<f4")
+    folders = [tmp_path / name for name in "ab"]
+    for folder in folders:
+        folder.mkdir()
+        rows.tofile(folder / "0.bin")
+    words = ["compare", *map(str, folders), "--out", str(tmp_path / "c")]
+    assert main([*words, "--columns", "3", "--columns-a", "5", "--columns-b", "5"]) == 0
+    assert main([*words, "--columns", "3", "--columns-a", "5"]) == 1  # 320 numbers are no rows of three
+    assert main([*words, "--columns", "5", "--intensity-scale", "200", "--intensity-scale-b", "100"]) == 1
+
+
+def test_what_a_reader_assumed_is_a_note_and_what_it_left_out_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from farfield.cli._flags import ReadingFlags
+
+    np.save(tmp_path / "a.npy", np.ones((5, 4), np.float32))
+    (tmp_path / "calibration.yaml").write_text("something: else\n")
+    ReadingFlags().open(tmp_path)
+    assert "warning: " in capsys.readouterr().err
+    drive = tmp_path / "drive"
+    (drive / "velodyne_points" / "data").mkdir(parents=True)
+    np.ones((5, 4), "<f4").tofile(drive / "velodyne_points" / "data" / "0000000000.bin")
+    sizes = "<h>1.5</h><w>1.8</w><l>4.4</l><first_frame>0</first_frame>"
+    pose = "<item><tx>9</tx><ty>0</ty><tz>-1</tz><rx>0</rx><ry>0</ry><rz>0</rz></item>"
+    (drive / "tracklet_labels.xml").write_text(
+        f"<b><tracklets><item><objectType>Car</objectType>{sizes}<poses>{pose}</poses></item></tracklets></b>"
+    )
+    ReadingFlags().open(drive)
+    error = capsys.readouterr().err
+    assert "note: " in error
+    assert "--tracklets" in error
+
+
 def test_a_mapping_beside_the_data_that_is_none_is_not_ignored(lidar_axes: Path) -> None:
     from farfield.errors import ConfigError
 

@@ -88,6 +88,24 @@ def test_the_car_keeps_its_shape_whoever_wrote_it(tmp_path: Path, convention: st
         assert data.assumptions == ()
 
 
+def test_points_decide_whatever_is_in_doubt_about_times_and_intensities(tmp_path: Path) -> None:
+    """What a flag of the clouds overrules does not keep tracklets from being read onto them."""
+    root = drive(tmp_path, STEMS, tracklets("cvat", marks=False))
+    for step, stem in enumerate(STEMS):
+        points = dict(zip("xyz", car_points(step).astype(np.float32).T, strict=True))
+        strength = np.full(400, 0.5, np.float32)
+        strength[0] = 90.0  # an outlier beside fractions: 255 by the flag
+        extra = {"intensity": strength, "t": np.linspace(0, 1, 400, dtype=np.float32)}  # a share of the turn
+        write_pcd(root / "drive" / "velodyne_points" / "data" / f"{stem}.pcd", points | extra)
+    for flags in ({"point_times": "none"}, {"intensity_scale": 255}):
+        with pytest.raises(FileFormatError, match=r"--point-times|--intensity-scale"):
+            open_dataset(root, **flags)[0].cloud()
+    data = open_dataset(root, point_times="none", intensity_scale=255)
+    assert data[0].cloud().column("intensity").max() == pytest.approx(90 / 255)
+    np.testing.assert_allclose(data[0].boxes.size_m[0], SIZE)
+    assert "the points in the boxes" in data.assumptions[0]
+
+
 @pytest.mark.parametrize("convention", ["kitti", "cvat", "datumaro"])
 def test_an_edit_is_written_as_the_file_means_its_numbers(tmp_path: Path, convention: str) -> None:
     root = drive(tmp_path, STEMS, tracklets(convention, marks=True))
