@@ -82,7 +82,7 @@ def first_doubts(data: Dataset, *, cloud: str | None = None, frames: int = _FRAM
         try:
             frame = data[index]
             name = cloud or next((name for name in frame.clouds if _is_lidar(frame, name)), None)
-            if name in frame.clouds:
+            if name is not None and name in frame.clouds:
                 points.append(frame.clouds[name].points_m)
             if frame.boxes is not None:
                 boxes.append(frame.boxes)

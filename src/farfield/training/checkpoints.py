@@ -248,7 +248,7 @@ def resume_optimizer(path: Path, state: Mapping[str, Any], optimizer: torch.opti
         if parameter is None or not isinstance(values, Mapping):
             expected, got = f"moments of a parameter from 0 to {len(by_number) - 1}", type(values).__name__
             raise FileFormatError(path, where=where, expected=expected, got=got, fix=_ANEW)
-        _check_alike(path, where, values, {"step": torch.zeros(()), **dict.fromkeys(_MOMENTS, parameter)})
+        _check_alike(path, where, values, {"step": torch.zeros(()), **dict.fromkeys(_MOMENTS, by_number[number])})
         for name, tensor in values.items():
             if not bool(torch.isfinite(tensor).all()) or (name != _MOMENTS[0] and bool((tensor < 0).any())):
                 expected = "finite numbers" if name == _MOMENTS[0] else "finite numbers of 0 or more"
