@@ -242,7 +242,9 @@ def resume_optimizer(path: Path, state: Mapping[str, Any], optimizer: torch.opti
         got = ", ".join(str(len(part)) if isinstance(part, list) else "none" for part in numbers) or "no group"
         raise FileFormatError(path, where="optimizer, param_groups", expected=expected, got=got, fix=_ANEW)
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
-    by_number = dict(zip((number for group in own for number in group["params"]), parameters, strict=True))
+    by_number: dict[Any, Tensor] = dict(
+        zip((number for group in own for number in group["params"]), parameters, strict=True)
+    )
     for number, values in moments.items():
         where, parameter = f"optimizer, state, {number}", by_number.get(number)
         if parameter is None or not isinstance(values, Mapping):
