@@ -1,13 +1,14 @@
 """The crops that the network of number plates learns from, and its training."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
+from _plates_clutter import draw_clutter
 from _plates_scenes import (
     FONTS,
     Place,
@@ -23,14 +24,23 @@ from _plates_scenes import (
 )
 from PIL import Image, ImageDraw
 
-from farfield.privacy.detectors import decode_plates, predict_plate_maps
-from farfield.privacy.plate_network import STRIDE, PlateNetwork
+from farfield.privacy.plate_network import STRIDE
 
 # Crops with and without number plates, as the network that finds them learns from.
 
 
 SIDE = 128
 LEAST_PX, MOST_PX, WIDEST_PX = 5.0, 42.0, 92.0
+_SHIPPED_PICTURES = {
+    "skimage": tuple(
+        f"data/{name}"
+        for name in (
+            *("brick.png", "camera.png", "cat.png", "chelsea.png", "coffee.png", "coins.png", "clock_motion.png"),
+            *("grass.png", "gravel.png", "hubble_deep_field.jpg", "page.png", "rocket.jpg", "text.png", "retina.jpg"),
+        )
+    ),
+    "sklearn": ("datasets/images/china.jpg", "datasets/images/flower.jpg"),
+}
 
 
 @dataclass
@@ -43,12 +53,19 @@ class Crop:
 
 
 def free_pictures() -> list[np.ndarray]:
-    """Pictures without plates that matplotlib ships."""
+    """Pictures without plates that matplotlib, scikit-image and scikit-learn ship, where these are installed.
+
+    The astronaut is not among them, for the pictures that the result is measured on have her too.
+    """
     import matplotlib
 
     folder = Path(matplotlib.get_data_path()) / "sample_data"
-    names = ("grace_hopper.jpg", "Minduka_Present_Blue_Pack.png", "logo2.png")
-    return [np.asarray(Image.open(folder / name).convert("RGB")) for name in names if (folder / name).is_file()]
+    paths = [folder / name for name in ("grace_hopper.jpg", "Minduka_Present_Blue_Pack.png", "logo2.png")]
+    for package, names in _SHIPPED_PICTURES.items():
+        spec = find_spec(package)
+        if spec is not None and spec.origin is not None:
+            paths += [Path(spec.origin).parent / name for name in names]
+    return [np.asarray(Image.open(path).convert("RGB")) for path in paths if path.is_file()]
 
 
 def cut(image: np.ndarray, centre: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +94,7 @@ def cut(image: np.ndarray, centre: np.ndarray, scale: float) -> tuple[np.ndarray
 
 def tilted(rng: np.random.Generator, width_m: float, height_m: float, high_px: float) -> Place:
     """A plate seen from anywhere, at times by a camera that is rolled."""
-    yaw, pitch = rng.uniform(-1.15, 1.15) * rng.random() ** 0.5, rng.normal(0, 0.2)
+    yaw, pitch = rng.uniform(-1.3, 1.3) * rng.random() ** 0.4, rng.normal(0, 0.2)
     roll = rng.uniform(-0.9, 0.9) if rng.random() < 0.3 else rng.normal(0, 0.08)
     turn = _rotation(2, roll) @ _rotation(0, pitch) @ _rotation(1, yaw)
     away = rng.uniform(2.0, 10.0) * width_m
@@ -175,36 +192,50 @@ def vehicle_end(image: np.ndarray, place: Place, rng: np.random.Generator) -> No
         paste(image, patch, flat, float(rng.uniform(0.6, 1.1)), rng)
 
 
+def faded(plate: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """At times a plate whose writing hardly shows: bleached, dirty, in the dark, shining back, or out of focus."""
+    image = plate.astype(np.float32)
+    draw = rng.random()
+    if draw < 0.35:
+        ground = np.median(image.reshape(-1, 3), axis=0)
+        image = ground + (image - ground) * rng.uniform(0.12, 0.7)
+    elif draw < 0.45:
+        image = 255 - image * rng.uniform(0.5, 1.0)
+    elif draw < 0.55:
+        image = image + rng.uniform(20, 120)
+    if rng.random() < 0.25:
+        image = cv2.GaussianBlur(image, (0, 0), float(rng.uniform(1.0, 7.0)))
+    if rng.random() < 0.3:  # half in the shadow
+        rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+        edge = columns * rng.normal() + rows * rng.normal() > rng.normal(0, 60)
+        image = image * np.where(edge, rng.uniform(0.3, 0.7), 1.0)[..., None].astype(np.float32)
+    return image.clip(0, 255).astype(np.uint8)
+
+
 class Sampler:
     """Draws crops; the same number gives the same crop.
+
+    Plates are no crisper than what is around them, pictures are sharpened at times, and many plates are away from the
+    simulated vehicles: against what drawn crops have and photographs have not.
 
     Args:
         scenes: Where plates belong.
         seed: Of all crops.
-        soft: Plates no crisper than what is around them, sharpened pictures, and more plates away from vehicles: a
-            recipe against what drawn crops have and photographs have not. The shipped weights were trained with it.
     """
 
-    def __init__(self, scenes: Sequence[Scene], seed: int, *, soft: bool = False) -> None:
-        self.soft = soft
+    def __init__(self, scenes: Sequence[Scene], seed: int) -> None:
         self.scenes, self.seed, self.pictures = scenes, seed, free_pictures()
         self.spots = [(scene, place) for scene in scenes for place in scene.places]
-        self.mined: list[Crop] = []
 
     def __call__(self, number: int) -> Crop:
         """The crop of that number."""
         rng = np.random.default_rng([self.seed, number])
         draw = rng.random()
-        if self.mined and draw < 0.2:
-            kept = self.mined[int(rng.integers(len(self.mined)))]
-            return self._finished(Crop(kept.image.copy(), kept.boxes, kept.ignored), rng)
-        draw = rng.random()
-        free = 0.74 if self.soft else 0.64
-        crop = self._on_vehicle(rng) if draw < 0.42 else self._free(rng) if draw < free else self._without(rng)
+        crop = self._on_vehicle(rng) if draw < 0.3 else self._free(rng) if draw < 0.58 else self._without(rng)
         return self._finished(crop, rng)
 
     def _finished(self, crop: Crop, rng: np.random.Generator) -> Crop:
-        if self.soft and rng.random() < 0.3:
+        if rng.random() < 0.3:
             low = cv2.GaussianBlur(crop.image, (0, 0), float(rng.uniform(0.7, 2.0)))
             crop.image = cv2.addWeighted(crop.image, 1.7, low, -0.7, 0)
         crop.image = degraded(crop.image, rng, strong=True)
@@ -241,30 +272,33 @@ class Sampler:
             if first is None:
                 continue
             plate, form = first[1:] if place is first[0] else draw_plate(rng)
+            plate = faded(plate, rng) if rng.random() < 0.5 else plate
             quad = here.quad(form.width_m, form.height_m)
             paste(image, plate, quad, light_of(scene.light, scene.image, rng), rng)
             box = upright(quad)
             right_size = LEAST_PX * 0.8 <= box[3] - box[1] <= MOST_PX * 1.2 and box[2] - box[0] < WIDEST_PX * 1.2
             centre_in = ((box[:2] + box[2:]) / 2 >= 0).all() and ((box[:2] + box[2:]) / 2 < SIDE).all()
             (boxes if right_size and centre_in else ignored).append(box)
-        if self.soft and scale > 1.3 and rng.random() < 0.7:
+        if scale > 1.3 and rng.random() < 0.7:
             image = cv2.GaussianBlur(image, (0, 0), 0.35 * scale)
         ignored += [upright(place.moved(scale, low + 0.5 - 0.5 / scale).quad(0.6, 0.25)) for place in scene.hidden]
         return Crop(image, np.array(boxes).reshape(-1, 4), np.array(ignored).reshape(-1, 4))
 
     def _background(self, rng: np.random.Generator) -> Crop:
         draw = rng.random()
-        if draw < 0.15:
+        if draw < 0.35:
+            return Crop(draw_clutter(rng, SIDE))
+        if draw < 0.50:
             picture = self.pictures[int(rng.integers(len(self.pictures)))]
             height, width = picture.shape[:2]
             scale = float(np.exp(rng.uniform(np.log(0.25), np.log(1.5))))
             return Crop(cut(picture, rng.uniform(0, 1, 2) * [width, height], scale)[0])
-        if draw < 0.25:
+        if draw < 0.55:
             low = rng.uniform(0, 255, (int(rng.integers(2, 30)), int(rng.integers(2, 30)), 3)).astype(np.uint8)
             return Crop(cv2.resize(low, (SIDE, SIDE), interpolation=int(rng.choice([0, 1, 2]))))
         scene = self.scenes[int(rng.integers(len(self.scenes)))]
         height, width = scene.image.shape[:2]
-        scale = float(np.exp(rng.uniform(np.log(0.25), np.log(1.0 if self.soft else 2.0))))
+        scale = float(np.exp(rng.uniform(np.log(0.25), np.log(1.0))))
         return self._around(scene, rng.uniform(0, 1, 2) * [width, height], scale, rng, None)
 
     def _free(self, rng: np.random.Generator) -> Crop:
@@ -277,7 +311,7 @@ class Sampler:
         if not np.isfinite(quad).all() or box[3] - box[1] < LEAST_PX * 0.8:
             return crop
         vehicle_end(crop.image, place, rng)
-        paste(crop.image, plate, quad, float(rng.uniform(0.3, 1.4)), rng)
+        paste(crop.image, faded(plate, rng), quad, float(rng.uniform(0.3, 1.4)), rng)
         inside = np.concatenate([crop.ignored, np.zeros((0, 4))])
         return Crop(crop.image, box[None], inside)
 
@@ -295,11 +329,7 @@ class Sampler:
         return crop
 
 
-# The training of the network that finds number plates: loss, hard negatives, and a state to go on from.
-
-
-BATCH, RATE = 16, 2e-3
-_MINED_SCORE, _MINED_MOST = 0.15, 1500
+# Loss of the network that finds number plates.
 
 
 def targets(crop: Crop) -> tuple[np.ndarray, np.ndarray]:
@@ -336,94 +366,3 @@ def loss_of(told: torch.Tensor, maps: torch.Tensor, counts: torch.Tensor) -> tor
     bad = (1 - hit) * (1 - heat) ** 4 * score**2 * torch.nn.functional.softplus(logit)
     size = ((told[:, 1:] - maps[:, 1:]).abs() * counts[:, 1:]).sum() / counts[:, 1].sum().clamp(min=1)
     return ((good + bad) * counts[:, 0]).sum() / plates + 0.5 * size
-
-
-def mined(network: PlateNetwork, sampler: Sampler, number: int) -> list[Crop]:
-    """False hits in pictures without plates, at the three sizes that the detector looks at."""
-    rng, found = np.random.default_rng([sampler.seed, 7, number]), []
-    network.eval()
-    for scene in [*sampler.scenes, *(Scene(picture, (), (), "day") for picture in sampler.pictures * 4)]:
-        image = scene.image.copy()
-        for place in scene.places:
-            cover(image, place, rng)
-        for _ in range(6):
-            board, wide, high = draw_board(rng)
-            place = tilted(rng, wide, high, float(rng.uniform(10, 120)))
-            flat = place.quad(wide, high) + rng.uniform(0, 1, 2) * (np.array(image.shape[1::-1]) - SIDE)
-            if np.isfinite(flat).all():
-                paste(image, board, flat, 1.0, rng)
-        hidden = np.array([upright(place.quad(0.6, 0.25)) for place in scene.hidden]).reshape(-1, 4)
-        for halving, maps in enumerate(predict_plate_maps(network, image)):
-            scale = 0.5**halving
-            for box in decode_plates(maps, _MINED_SCORE).box_px[:8] / scale:
-                centre = (box[:2] + box[2:]) / 2 + rng.uniform(-24, 24, 2) / scale
-                crop, low = cut(image, centre, scale)
-                found.append(Crop(crop, ignored=(hidden - np.tile(low, 2)) * scale))
-    network.train()
-    order = rng.permutation(len(found))[:_MINED_MOST]
-    return [found[place] for place in order]
-
-
-def train(sampler: Sampler, steps: int, state_file: Path | None, *, every: int = 100) -> PlateNetwork:
-    """Train, or go on where an interrupted training was; hard negatives are mined at half and three quarters."""
-    torch.manual_seed(sampler.seed)
-    network = PlateNetwork().to(memory_format=torch.channels_last).train()
-    optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-2)
-    first = _resumed(state_file, network, optimiser, sampler)
-    clock = time.process_time()
-    total = 0.0
-    for step in range(first, steps):
-        if step in (steps // 2, steps * 3 // 4):
-            sampler.mined = sampler.mined[-_MINED_MOST // 2 :] + mined(network, sampler, step)
-            print(f"step {step}: {len(sampler.mined)} hard negatives", flush=True)
-        done = step / steps
-        for group in optimiser.param_groups:
-            group["lr"] = RATE * min(1.0, (step + 1) / 100) * (0.02 + 0.98 * (1 + np.cos(np.pi * done)) / 2)
-        crops = [sampler(step * BATCH + number) for number in range(BATCH)]
-        made = [targets(crop) for crop in crops]
-        images = torch.from_numpy(np.stack([crop.image for crop in crops])).permute(0, 3, 1, 2).float() / 255
-        maps, counts = (torch.from_numpy(np.stack([each[part] for each in made])) for part in (0, 1))
-        with torch.autocast("cpu", torch.bfloat16):
-            told = network(images.contiguous(memory_format=torch.channels_last))
-        loss = loss_of(told.float(), maps, counts)
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
-        optimiser.step()
-        total += float(loss.detach())
-        if (step + 1) % every == 0:
-            print(f"step {step + 1}: loss {total / every:.3f}, {time.process_time() - clock:.0f} s of CPU", flush=True)
-            total = 0.0
-            if state_file is not None:
-                _keep(state_file, step + 1, network, optimiser, sampler)
-    return network.eval()
-
-
-def _keep(path: Path, step: int, network: PlateNetwork, optimiser: torch.optim.Optimizer, sampler: Sampler) -> None:
-    crops = torch.from_numpy(np.stack([crop.image for crop in sampler.mined])) if sampler.mined else torch.zeros(0)
-    ignored = [torch.from_numpy(np.asarray(crop.ignored)) for crop in sampler.mined]
-    partial = path.with_suffix(".part")
-    torch.save(
-        {
-            "step": step,
-            "network": network.state_dict(),
-            "optimiser": optimiser.state_dict(),
-            "crops": crops,
-            "ignored": ignored,
-        },
-        partial,
-    )
-    partial.replace(path)
-
-
-def _resumed(path: Path | None, network: PlateNetwork, optimiser: torch.optim.Optimizer, sampler: Sampler) -> int:
-    if path is None or not path.is_file():
-        return 0
-    told = torch.load(path, weights_only=True)
-    network.load_state_dict(told["network"])
-    optimiser.load_state_dict(told["optimiser"])
-    sampler.mined = [
-        Crop(image.numpy(), ignored=ignored.numpy())
-        for image, ignored in zip(told["crops"], told["ignored"], strict=True)
-    ]
-    return int(told["step"])

@@ -211,7 +211,7 @@ def test_the_strong_view_moves_points_and_boxes_alike() -> None:
     with torch.autocast("cpu", torch.bfloat16):
         again = strong_view(batch_of(cloud), [change], 0.0, rng)["points"][0]
     assert torch.equal(again, view)
-    assert torch.equal(cloud[:, :3], torch.from_numpy(boxes.centre_m).float())  # the teacher's stays
+    assert torch.equal(cloud[:, :3], torch.tensor(boxes.centre_m).float())  # the teacher's stays
     thinned = strong_view(batch_of(torch.ones(1000, 3)), [change], 0.9, np.random.default_rng(0))["points"][0]
     assert 100 < len(thinned) < 1000
 

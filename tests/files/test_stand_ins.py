@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from farfield.datasets import open_dataset
@@ -15,6 +16,7 @@ from farfield.datasets.folder import read_boxes, read_class_mapping
 from farfield.datasets.splits import read_parts
 from farfield.errors import DatasetError, FarfieldError, FileFormatError
 from farfield.evaluation.record import Evaluation
+from farfield.files.atomic import read_bytes
 from farfield.files.bags import Bag
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import image_size, read_image
@@ -145,3 +147,11 @@ def test_labels_of_labelcloud_are_named(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="labels of labelCloud") as refused:
         open_dataset(tmp_path).annotation(0)
     assert "rotations.z" in refused.value.fix
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".pt", ".zip"])
+def test_archives_by_nature_are_themselves(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"state{suffix}"
+    with path.open("wb") as file:
+        np.savez(file, a=np.zeros(3))
+    assert read_bytes(path).startswith(b"PK")

@@ -18,6 +18,8 @@ from farfield.papers.locations import locations_of
 from farfield.papers.scoring import needs_of
 
 PAPERS = ("cirrus", "kradar")
+TABLES: dict[str, tuple[str, ...]] = {"cirrus": ("table2",), "kradar": ()}
+"""Budgets of single tables, which stand beside those of rising size."""
 FOLDER = Path("runs")
 
 
@@ -31,7 +33,7 @@ def jobs(grid: ExperimentGrid, budget: str = "laptop", **options: Any) -> list[T
 @pytest.mark.parametrize("paper", PAPERS)
 def test_shipped_budgets_keep_the_rules(paper: str) -> None:
     grid = load_grid(paper)
-    assert tuple(grid.budgets) == BUDGETS
+    assert tuple(grid.budgets) == (*BUDGETS, *TABLES[paper])
     for settings in grid.budgets.values():
         assert settings.seeds >= LEAST_SEEDS
         assert settings.least_steps == LEAST_STEPS
@@ -40,8 +42,9 @@ def test_shipped_budgets_keep_the_rules(paper: str) -> None:
         assert len(set(seeds)) == len(seeds)  # no road is learnt from and scored on
 
 
-@pytest.mark.parametrize("paper", PAPERS)
-@pytest.mark.parametrize("budget", BUDGETS)
+@pytest.mark.parametrize(
+    ("paper", "budget"), [(paper, budget) for paper in PAPERS for budget in (*BUDGETS, *TABLES[paper])]
+)
 def test_every_run_of_every_budget_is_a_valid_experiment_and_method(paper: str, budget: str) -> None:
     from farfield.detectors import build_detector
     from farfield.training.method import METHODS
@@ -54,7 +57,7 @@ def test_every_run_of_every_budget_is_a_valid_experiment_and_method(paper: str, 
         assert job.clouds
         method = {name: value for name, value in experiment.method.settings.items() if name != "start"}
         said = (job.network, experiment.method.name, repr(method))
-        if budget == "laptop" and said not in built and experiment.method.name != "continued":
+        if budget in ("laptop", *TABLES[paper]) and said not in built and experiment.method.name != "continued":
             network = build_detector(experiment.detector, seed=0)
             made = METHODS[experiment.method.name](network, **method)
             data = experiment.data
@@ -114,6 +117,28 @@ def test_a_key_depends_on_what_decides_a_run_and_on_nothing_else(tmp_path: Path)
     changed = {job.runs for job, key in zip(other_device, keys, strict=True) if job.key != key}
     assert {name for runs in changed for name in runs} == {"device_a", "device_pretrained"}  # by its start alone
     assert not {job.key for job in jobs(grid, steps_share=1.0)} - set(keys)
+
+
+def test_table_two_alone_shows_every_row_equally_many_frames() -> None:
+    listed = jobs(load_grid("cirrus"), "table2")
+    assert [job.seed for job in listed] == sorted(job.seed for job in listed)
+    rows = {"voxelnet", "second", "pointrcnn", "pointpillars", "sparsecentre"}
+    assert {name for job in listed for name in job.runs} == rows
+    assert len(listed) == 5 * 3
+    trainings = [job.experiment.training.model_dump(exclude={"seed"}) for job in listed]
+    assert all(training == trainings[0] for training in trainings)
+    assert {job.clouds for job in listed} == {("gaussian",)}
+
+
+def test_flags_for_all_trainings_stand_over_the_budget() -> None:
+    grid = load_grid("cirrus")
+    plain = jobs(grid, "table2")
+    elsewhere = jobs(grid, "table2", training={"accelerator": "gpu"})
+    assert {job.experiment.training.accelerator for job in elsewhere} == {"gpu"}
+    assert [job.key for job in elsewhere] == [job.key for job in plain]
+    other = jobs(grid, "table2", training={"precision": "bf16"})
+    assert {job.experiment.training.precision for job in other} == {"bf16"}
+    assert not {job.key for job in other} & {job.key for job in plain}
 
 
 def test_equal_experiments_are_one_training() -> None:

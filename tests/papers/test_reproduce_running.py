@@ -108,3 +108,26 @@ def test_a_training_that_diverges_is_said_and_stops_no_other(tmp_path: Path, mon
 def test_two_commands_do_not_work_in_one_folder(tmp_path: Path) -> None:
     with locked(tmp_path, shared=False), pytest.raises(ConfigError, match="no other command"):
         tiny(tmp_path).run()
+
+
+def test_a_job_that_is_only_trained_is_not_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = tiny(tmp_path)
+    (job, *_) = made.jobs(made.locations)
+    scoring = ScoringTask(score=made.settings.score, locations={}, fingerprints={}, needs=(), replicates=2)
+    monkeypatch.setattr(running.Plan, "run", leave_weights)
+    home = tmp_path / job.folder
+    running.RunTask(tmp_path, scoring, train_only=True)(Unit(job.folder, parameters=job))
+    assert {path.name for path in home.iterdir()} == {running.WEIGHTS, running.CLOCK}
+    (clock,) = running.clocks_of(job, tmp_path)
+    assert "scoring_s" not in clock
+    monkeypatch.setattr(ScoringTask, "of_job", lambda self, job, weights: {"clouds": {}})
+    running.RunTask(tmp_path, scoring)(Unit(job.folder, parameters=job))
+    trained, scored = running.clocks_of(job, tmp_path)
+    assert trained == clock
+    assert scored["brought"]
+
+
+def leave_weights(self: running.Plan, report: object = None) -> None:
+    self.folder.mkdir(parents=True)
+    (self.folder / running.WEIGHTS).write_bytes(b"weights")
+    (self.folder / "checkpoint.pt").write_bytes(b"of the last step")

@@ -20,10 +20,10 @@ from farfield.errors import ConfigError, FileFormatError
 from farfield.files.images import read_image
 from farfield.frame import Frame
 from farfield.jobs import JobOptions
-from farfield.privacy import Anonymized, AnonymizeOptions, anonymise
-from farfield.privacy.anonymising import uncovered_rows
+from farfield.privacy import Anonymized, AnonymizeOptions, PictureSummary, anonymise
+from farfield.privacy.anonymising import count_covers, uncovered_rows
 from farfield.privacy.covering import box_mask
-from farfield.privacy.detectors import FaceDetector
+from farfield.privacy.detectors import PLATES_MISSED, FaceDetector
 from farfield.privacy.image_boxes import ImageBoxes, covered_share
 from farfield.privacy.sources import find_side_by_side, find_sources, find_stereo_pairs
 
@@ -173,6 +173,27 @@ def test_weak_boxes_that_stay_seen_are_named() -> None:
     assert len(uncovered_rows(seen, ImageBoxes())) == 3
 
 
+def test_covers_are_counted_by_frame_and_by_track() -> None:
+    """One face over three frames of a film and another in a picture: two faces, four covers; a partner has no track."""
+    face = {"kind": "face", "box_px": [0, 0, 9, 9], "score": 0.9, "track": 0, "how": "found"}
+    film = [PictureSummary("walk.mp4", (20, 20), 0.1, (face,), frame) for frame in range(3)]
+    still = PictureSummary("a/0.png", (20, 20), 0.1, (face, {**face, "track": None, "how": "partner"}))
+    assert count_covers([*film, still], "face") == (2, 5)
+    assert count_covers([*film, still], "face", together=False) == (4, 5)
+    assert count_covers([*film, still], "plate") == (0, 0)
+
+
+def test_the_last_line_says_what_share_of_plates_is_missed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    pytest.importorskip("safetensors")
+    written(tmp_path / "in" / "0.png", np.full((64, 64, 3), 120, dtype=np.uint8))
+    assert main(["anonymize", str(tmp_path / "in"), str(tmp_path / "out"), "--workers", "1"]) == 0
+    missed, measured = PLATES_MISSED
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith(f"Known to be missed: {missed} of {measured} number plates in photographs")
+    assert "benchmarks/results/privacy.txt" in last
+
+
 def test_a_data_sets_images_are_covered_as_they_are_read() -> None:
     image, box = portrait(80)
     frame = Anonymized()(Frame(sequence="s", frame_id="0", images={"camera": image}))
@@ -186,7 +207,9 @@ def test_the_command_writes_pictures_log_and_page(tmp_path: Path, capsys: pytest
     walk(tmp_path / "in")
     assert main(["anonymize", str(tmp_path / "in"), str(tmp_path / "out"), "--workers", "1", "--no-plates"]) == 0
     said = capsys.readouterr().out
-    assert "8 pictures and frames, 8 faces and 0 number plates covered, 1 of them doubtful" in said
+    assert "8 pictures and frames; one cover is one box in one of them" in said
+    assert "Faces: 1 followed over time, 8 covers, 1 of them doubtful\n" in said
+    assert said.endswith("Number plates: left as they are, all of them\n")
     assert "Names are no stamps" in said
     page = (tmp_path / "out" / "anonymized.html").read_text()
     assert "03.png: face" in page

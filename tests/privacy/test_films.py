@@ -115,7 +115,12 @@ def test_the_command_takes_a_film_and_shows_its_doubtful_frames(
         main(["anonymize", str(tmp_path / "in" / "walk.mkv"), str(tmp_path / "out"), "--workers", "1", "--no-plates"])
         == 0
     )
-    assert "8 pictures and frames, 8 faces and 0 number plates covered, 1 of them doubtful" in capsys.readouterr().out
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2:] == [
+        "Faces: 1 followed over time, 8 covers, 1 of them doubtful",
+        "Number plates: left as they are, all of them",
+    ]
+    assert lines[-3].startswith("8 pictures and frames; one cover is one box in one of them")
     assert f"walk.mkv, frame {HIDDEN}: face" in (tmp_path / "out" / "anonymized.html").read_text()
     (tmp_path / "in" / "bad.mp4").write_bytes((tmp_path / "in" / "walk.mkv").read_bytes()[:3000])
     assert main(["anonymize", str(tmp_path / "in" / "bad.mp4"), str(tmp_path / "out"), "--workers", "1"]) != 0

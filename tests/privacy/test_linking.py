@@ -43,6 +43,15 @@ def test_weak_boxes_count_on_a_track_with_a_strong_one_only():
     assert all(len(cover.boxes) == 1 for cover in link_boxes(strong_once, TIMES))
 
 
+def test_a_plate_in_one_picture_of_many_is_none_but_a_face_is_and_so_is_a_plate_among_few():
+    for kind, pictures, covered in (("plate", 20, False), ("face", 20, True), ("plate", 4, True)):
+        seen = [walking(place, 0.8, kind) if place == 2 else ImageBoxes() for place in range(pictures)]
+        covers = link_boxes(seen, TIMES[:pictures])
+        assert bool(len(covers[2].boxes)) == covered
+    twice = [walking(place, 0.8, "plate") if place in (2, 5) else ImageBoxes() for place in range(20)]
+    assert all(len(cover.boxes) for cover in link_boxes(twice, TIMES)[2:6])
+
+
 def test_two_that_cross_and_kinds_stay_apart():
     found = []
     for place in range(20):

@@ -12,9 +12,28 @@ safetensors = pytest.importorskip("safetensors.torch")
 from farfield.errors import FarfieldError, FileFormatError
 from farfield.privacy import AnonymizeOptions, detectors
 from farfield.privacy.covering import box_mask, cover_boxes
-from farfield.privacy.detectors import PlateDetector, decode_plates, merge_overlapping
+from farfield.privacy.detectors import (
+    PLATE_ASPECTS,
+    PlateDetector,
+    decode_plates,
+    find_boxes,
+    judge_plates,
+    may_be_plate,
+    merge_overlapping,
+    picture_sizes,
+)
 from farfield.privacy.image_boxes import ImageBoxes, covered_share
-from farfield.privacy.plate_network import MAX_BYTES, PlateNetwork, load_network, save_network
+from farfield.privacy.plate_network import (
+    MAX_BYTES,
+    PATCH_PX,
+    PlateJudge,
+    PlateNetwork,
+    cut_patches,
+    halved,
+    judged_boxes,
+    load_networks,
+    save_networks,
+)
 
 
 def maps_with(rows: int, columns: int, *cells: tuple[int, int, float]) -> np.ndarray:
@@ -54,9 +73,16 @@ class Firing:
         return torch.from_numpy(told)[None].float()
 
 
+class Agreeing:
+    """Stands for the judge: a plate in every box, where it is."""
+
+    def __call__(self, patches: "torch.Tensor") -> "torch.Tensor":
+        return torch.tensor([[3.0, 0, 0, 0, 0]]).repeat(len(patches), 1)
+
+
 @pytest.mark.parametrize(("widths", "side"), [((256,), 16), ((128,), 32), ((64,), 64)])
 def test_a_hit_in_a_smaller_picture_is_drawn_large(monkeypatch, widths, side) -> None:
-    monkeypatch.setattr(detectors, "_load_plate_network", lambda _: (Firing(*widths), "digest"))
+    monkeypatch.setattr(detectors, "_load_plate_networks", lambda _: (Firing(*widths), Agreeing(), "digest"))
     hits = PlateDetector()(np.zeros((250, 250, 3), dtype=np.uint8))  # padded to 256
     grown = max(side * detectors._PLATE_GROWTH, side + 2 * detectors._PLATE_MARGIN_PX)
     assert len(hits) == 1
@@ -67,7 +93,7 @@ def test_a_hit_in_a_smaller_picture_is_drawn_large(monkeypatch, widths, side) ->
 
 def test_a_plate_seen_at_two_sizes_is_one(monkeypatch) -> None:
     """A box of 16 x 8 and one of 32 x 16 pixels about it: the second is four times as large and stays alone."""
-    monkeypatch.setattr(detectors, "_load_plate_network", lambda _: (Firing(256, 128), "digest"))
+    monkeypatch.setattr(detectors, "_load_plate_networks", lambda _: (Firing(256, 128), Agreeing(), "digest"))
     assert len(PlateDetector()(np.zeros((256, 256, 3), dtype=np.uint8))) == 2
     monkeypatch.setattr(detectors, "_LARGER", 4.1)
     monkeypatch.setattr(detectors, "_INSIDE", 0.2)  # a quarter of the larger one lies in the smaller one
@@ -83,15 +109,80 @@ def test_parts_of_a_plate_become_one_box_and_others_stay_apart() -> None:
     assert len(merge_overlapping(ImageBoxes())) == 0
 
 
+def test_a_patch_shows_a_box_at_one_size_and_keeps_its_place() -> None:
+    """A ramp along the columns: the patch's middle is the box's, and its width 1.8 times the larger of w and 2 h."""
+    ramp = torch.arange(128.0).expand(1, 3, 64, 128)
+    box_px = torch.tensor([[40.0, 30, 60, 34], [60, 20, 64, 44]])
+    patches = cut_patches(halved(ramp.contiguous(), 2), torch.zeros(2, dtype=torch.long), box_px)
+    assert patches.shape == (2, 3, *PATCH_PX)
+    middle, width = patches[:, 0, 20].mean(dim=1) + 0.5, patches[:, 0, 20, -1] - patches[:, 0, 20, 0]
+    torch.testing.assert_close(middle, torch.tensor([50.0, 62.0]), rtol=0, atol=0.6)
+    torch.testing.assert_close(width, torch.tensor([36.0, 86.4]) * 79 / 80, rtol=0, atol=1.1)
+    two = cut_patches(halved(torch.cat([ramp * 0, ramp]), 2), torch.tensor([1, 1]), box_px)
+    torch.testing.assert_close(two, patches)
+
+
+def test_a_judge_moves_edges_and_gives_the_score() -> None:
+    box_px, judged = torch.tensor([[10.0, 10, 30, 20]]), torch.tensor([[0.0, 0.5, 0.0, 0.6931472, 0.0]])
+    torch.testing.assert_close(judged_boxes(box_px, judged.float()), torch.tensor([[10.0, 10, 50, 20]]))
+    sizes = picture_sizes(np.zeros((50, 70, 3), dtype=np.uint8))
+    assert [tuple(pixels.shape[2:]) for pixels in sizes] == [(64, 128), (32, 64), (16, 32)]
+    hits = judge_plates(Agreeing(), sizes, ImageBoxes.of_kind("plate", box_px.numpy(), np.array([0.1])))
+    assert hits.score[0] == pytest.approx(1 / (1 + np.exp(-3.0)))
+    np.testing.assert_allclose(hits.box_px, box_px)
+    assert not len(judge_plates(Agreeing(), sizes, ImageBoxes()))
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "is_one"),
+    [
+        (520, 110, True),
+        (180, 200, True),
+        (180 * 0.26, 200, True),
+        (24, 12, True),
+        (700, 110, False),
+        (30, 200, False),
+        (12, 6, False),
+    ],
+)
+def test_what_no_published_size_can_look_like_is_none(width: float, height: float, is_one: bool) -> None:
+    assert PLATE_ASPECTS[0] < 1 < PLATE_ASPECTS[1]
+    assert may_be_plate(ImageBoxes.of_kind("plate", np.array([[0.0, 0, width, height]]), np.ones(1)))[0] == is_one
+
+
+class Answering:
+    """A detector that says the same of all pictures."""
+
+    kind = digest = ""
+
+    def __init__(self, boxes: ImageBoxes) -> None:
+        self.boxes = boxes
+
+    def __call__(self, image: np.ndarray) -> ImageBoxes:
+        return self.boxes
+
+
+def test_what_touches_a_sure_face_is_no_plate() -> None:
+    """Three plates: on a sure face, on a doubtful one, beside both; a detector of each kind."""
+    faces = ImageBoxes.of_kind("face", np.array([[0.0, 0, 20, 20], [100, 0, 120, 20]]), np.array([0.9, 0.4]))
+    plates = np.array([[0.0, 15, 60, 30], [100, 15, 160, 30], [0, 40, 60, 60]])
+    finders = [Answering(faces), Answering(ImageBoxes.of_kind("plate", plates, np.full(3, 0.8)))]
+    boxes = find_boxes(np.zeros((64, 200, 3), dtype=np.uint8), finders)
+    np.testing.assert_allclose(boxes.box_px[boxes.kind == "plate"], plates[1:])
+    assert (boxes.kind == "face").sum() == 2
+
+
 def test_weights_come_back_in_half_precision(tmp_path: Path) -> None:
     torch.manual_seed(0)
-    network = PlateNetwork().eval()
-    save_network(tmp_path / "a.safetensors", network)
-    again, digest = load_network(tmp_path / "a.safetensors")
-    image = torch.rand(1, 3, 32, 48)
+    finder, judge = PlateNetwork().eval(), PlateJudge().eval()
+    save_networks(tmp_path / "a.safetensors", finder, judge)
+    finder_again, judge_again, digest = load_networks(tmp_path / "a.safetensors")
+    image, patches = torch.rand(1, 3, 32, 48), torch.rand(2, 3, *PATCH_PX)
     with torch.no_grad():
-        assert network(image).shape == (1, 5, 8, 12)
-        torch.testing.assert_close(again(image), network(image), rtol=0, atol=0.02)
+        assert finder(image).shape == (1, 5, 8, 12)
+        assert judge(patches).shape == (2, 5)
+        torch.testing.assert_close(finder_again(image), finder(image), rtol=0, atol=0.02)
+        torch.testing.assert_close(judge_again(patches), judge(patches), rtol=0, atol=0.02)
     assert len(digest) == 64
     assert (tmp_path / "a.safetensors").stat().st_size < MAX_BYTES
 
@@ -99,7 +190,7 @@ def test_weights_come_back_in_half_precision(tmp_path: Path) -> None:
 @pytest.mark.parametrize("damage", ["cut", "large", "shape", "missing", "infinite"])
 def test_damaged_weights_are_refused(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "a.safetensors"
-    save_network(path, PlateNetwork())
+    save_networks(path, PlateNetwork(), PlateJudge())
     data = path.read_bytes()
     tensors = safetensors.load(data)
     name = sorted(tensors)[0]
@@ -114,21 +205,21 @@ def test_damaged_weights_are_refused(tmp_path: Path, damage: str) -> None:
             tensors[name] = torch.zeros(3) if damage == "shape" else tensors[name] * torch.inf
         path.write_bytes(safetensors.save(tensors))
     with pytest.raises(FileFormatError, match=r"a\.safetensors"):
-        load_network(path)
+        load_networks(path)
 
 
 def test_a_flipped_bit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.safetensors"
-    save_network(path, PlateNetwork())
+    save_networks(path, PlateNetwork(), PlateJudge())
     data = bytearray(path.read_bytes())
     data[-100] ^= 1
     path.write_bytes(data)
     with pytest.raises(FileFormatError, match="digest"):
-        load_network(path)
+        load_networks(path)
 
 
 def test_missing_weights_are_said_in_words(tmp_path: Path, monkeypatch) -> None:
-    with pytest.raises(FarfieldError, match=r"expected the plate network's weights"):
+    with pytest.raises(FarfieldError, match=r"expected the plate networks' weights"):
         PlateDetector(weights=tmp_path / "none.safetensors")
     monkeypatch.setattr(detectors, "_PLATE_WEIGHTS", tmp_path / "none.safetensors")
     assert "which this installation lacks" in AnonymizeOptions().without_plates()

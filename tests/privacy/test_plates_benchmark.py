@@ -10,12 +10,15 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("cv2")
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
+import _plates_pool
+from _plates_clutter import draw_clutter
+from _plates_pool import filled_pool, train_networks
 from _plates_scenes import FORMATS, Place, Scene, draw_plate, keep_scene, kept_scene, paste, upright
-from _plates_training import SIDE, Crop, loss_of, targets, tilted
+from _plates_training import SIDE, Crop, Sampler, loss_of, targets, tilted
 
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
-from farfield.privacy.detectors import decode_plates, predict_plate_maps
+from farfield.privacy.detectors import decode_plates, picture_sizes, predict_plate_maps
 from farfield.privacy.image_boxes import pairwise_iou
 from farfield.privacy.plate_network import PlateNetwork
 
@@ -82,4 +85,24 @@ def test_the_network_learns_two_crops_by_heart(rng) -> None:
     for crop, each in zip(crops, told.numpy().astype(float), strict=True):
         best = decode_plates(each, 0.3)[:1]
         assert pairwise_iou(best.box_px, crop.boxes)[0, 0] > 0.6
-    assert len(predict_plate_maps(network.eval(), crops[0].image)) == 3
+    assert len(predict_plate_maps(network.eval(), picture_sizes(crops[0].image))) == 3
+
+
+def test_a_pool_teaches_both_networks(monkeypatch) -> None:
+    """Four crops and no time: one step each, and networks that can be saved."""
+    monkeypatch.setattr(_plates_pool, "PROPOSED", 0.0)
+    place = Place(np.array([[100.0, 0, 60], [0, 100, 60], [0, 0, 1]]))
+    scene = Scene(np.full((300, 400, 3), 90, np.uint8), (place,), (), "day")
+    pool = filled_pool(Sampler([scene], 1), 4, 1)
+    assert (pool.image.reshape(4, -1).std(axis=1) > 0).all()
+    finder, judge = train_networks(pool, 1, seconds=1.0, device="cpu")
+    assert not finder.training
+    assert all(bool(torch.isfinite(value).all()) for value in judge.state_dict().values())
+
+
+def test_clutter_is_drawn_again_from_the_same_seed() -> None:
+    for seed in range(20):
+        one, other = (draw_clutter(np.random.default_rng(seed), 64) for _ in range(2))
+        assert one.shape == (64, 64, 3)
+        assert one.dtype == np.uint8
+        np.testing.assert_array_equal(one, other)

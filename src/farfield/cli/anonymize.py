@@ -50,6 +50,9 @@ def run(
     from farfield.errors import ConfigError
     from farfield.pages.privacy_page import write_privacy_page
     from farfield.privacy import AnonymizeOptions, anonymise, check_apart
+    from farfield.privacy.anonymising import count_covers
+    from farfield.privacy.detectors import PLATES_MISSED
+    from farfield.privacy.image_boxes import FACE, PLATE
     from farfield.privacy.sources import PAIRS, SIDE_BY_SIDE, find_side_by_side, find_sources, find_stereo_pairs
 
     named = [tuple(pair.split(":")) for pair in stereo]
@@ -77,10 +80,19 @@ def run(
         cover=jobs.options("covering"),
     )
     write_privacy_page(out / "anonymized.html", out, summaries, title=f"Covered: {path.name or path}")
-    kinds = [row["kind"] for summary in summaries for row in summary.rows]
-    doubtful = sum(len(summary.doubtful) for summary in summaries)
     if series == "time" and not all(folder.stamped for folder in sources.folders):
         print("Names are no stamps: pictures of a folder count as 0.1 s apart, or give --series single.")
-    covered = f"{kinds.count('face')} faces and {kinds.count('plate')} number plates covered"
-    counts = f"{len(summaries)} pictures and frames, {covered}, {doubtful} of them doubtful"
-    print(f"{counts}: {out / 'anonymized.html'}")
+    print(f"{len(summaries):,} pictures and frames; one cover is one box in one of them: {out / 'anonymized.html'}")
+    with_plates = plates and not chosen.without_plates()
+    for kind, name in ((FACE, "Faces"), (PLATE, "Number plates"))[: 1 + with_plates]:
+        tracks, covers = count_covers(summaries, kind, together=chosen.together)
+        doubtful = sum(row["kind"] == kind for summary in summaries for row in summary.doubtful)
+        print(f"{name}: {tracks:,} followed over time, {covers:,} covers, {doubtful:,} of them doubtful")
+    if not with_plates:
+        print("Number plates: left as they are, all of them")
+        return
+    missed, measured = PLATES_MISSED
+    print(
+        f"Known to be missed: {missed} of {measured} number plates in photographs ({missed / measured:.0%}); "
+        "measured in benchmarks/results/privacy.txt (docs/privacy.md). Look through the pictures before you show them."
+    )

@@ -14,7 +14,7 @@ from farfield.errors import ConfigError
 def run(
     paper: Positional[Literal["cirrus", "kradar"]],
     *,
-    budget: Literal["laptop", "desk", "workstation", "gpu"] = "laptop",
+    budget: Literal["laptop", "desk", "workstation", "gpu", "table2"] = "laptop",
     minutes: float | None = None,
     plan: bool = False,
     page: bool = False,
@@ -23,6 +23,9 @@ def run(
     data: Path | None = None,
     source: Path | None = None,
     workers: int = 0,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    precision: Literal["auto", "fp32", "bf16"] | None = None,
+    train_only: bool = False,
     out: Path | None = None,
     dry_run: bool = False,
 ) -> int:
@@ -34,6 +37,7 @@ def run(
       farfield reproduce cirrus --budget workstation --plan
       farfield reproduce kradar --minutes 90
       farfield reproduce kradar --transfer --workers 2
+      farfield reproduce cirrus --budget table2 --device cuda --workers 15 --train-only
       farfield reproduce cirrus --data /data/Cirrus --source /data/kitti --budget gpu
 
     First some steps of each kind of run are measured, and what the whole will cost on this machine and which claims can
@@ -44,7 +48,8 @@ def run(
 
     Args:
         paper: cirrus: Tables I to VI. kradar: the table by weather and Table 9.
-        budget: laptop: two cores, one to two hours. desk, workstation, gpu: see --plan.
+        budget: laptop: two cores, one to two hours. desk, workstation, gpu: see --plan. table2: Cirrus' Table II alone,
+            15 trainings on a GPU in minutes.
         minutes: Lower the steps until it fits; refused where fewer than 200 would be left. Seeds and rows stay.
         plan: Only measure, and print what it would cost.
         page: Only write the page of the runs that are done, such as while others are at work.
@@ -54,13 +59,19 @@ def run(
         seeds: With --transfer, only these seeds.
         data: The real data set; without one all is simulated.
         source: Real data of the other device for Table IV, such as KITTI; simulated unless given.
-        workers: Processes, one thread each; 0 takes as many as there are cores.
+        workers: Processes, one thread each, which share the GPU if there is one; 0 takes as many as there are cores.
+        device: What trains and detects; auto takes a GPU if there is one.
+        precision: Number type of all trainings; the budget's unless given. auto: bf16 where a GPU has it, else fp32.
+        train_only: Simulate what runs learn from and train, and score nothing: the same command without it, here or
+            where OUT was taken to without its data, scores. Needs no plan where the budget limits no minutes.
         out: Folder; runs/reproduce-PAPER-BUDGET unless given.
         dry_run: Say what would be written, and write nothing; what it costs is measured, by --plan.
     """
     from farfield.papers import Reproduction, described
 
     if transfer or seeds is not None:
+        if train_only or device != "auto" or precision is not None:
+            raise ConfigError("--train-only, --device, --precision: expected without --transfer and --seeds")
         folder = out or Path("runs") / "reproduce-kradar-transfer"
         return _transfer(paper, folder, seeds, workers, plan=plan, page=page, dry_run=dry_run)
     reproduction = Reproduction.of(
@@ -71,6 +82,8 @@ def run(
         workers=workers,
         data=data,
         source=source,
+        device=device,
+        precision=precision or "",
         progress=_shown,
         report=partial(print, flush=True),
     )
@@ -82,6 +95,10 @@ def run(
     if plan:
         for line in described(reproduction.outline()):
             print(line)
+        return 0
+    if train_only:
+        left = reproduction.train()
+        print(f"runs: {(reproduction.out / 'runs').resolve()}" + (f"; {len(left)} have no weights" if left else ""))
         return 0
     written = reproduction.run(page_only=page)
     print(f"summary: {(reproduction.out / 'reproduction.json').resolve()}\nreport: {written.resolve()}")

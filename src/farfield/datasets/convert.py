@@ -207,7 +207,7 @@ def _to_cache(dataset: Dataset, overwrite: bool, bulk: JobOptions) -> Outcome:
     sources: list[tuple[Path, Path, int | None]]
     if isinstance(reader, Cirrus):
         columns, delimiter = reader.mapping.xyz.columns, reader.mapping.xyz.delimiter
-        sources = [
+        sources: list[tuple[Path, Path, int | None]] = [
             (getattr(entry, pattern), entry.part.root, len(getattr(columns, pattern)))
             for entry in (reader.entries[index] for index in dataset.origins)
             for pattern in ("gaussian", "uniform")

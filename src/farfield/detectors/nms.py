@@ -169,7 +169,7 @@ def surviving_boxes(ranked: Tensor, iou_threshold: float) -> Tensor:
     kernels = kernels_for(ranked.device, "triton_nms")
     if kernels is not None and len(ranked) <= _MOST_BITS:
         limits = constant((max(float(iou_threshold), LEAST_IOU),), ranked.device)
-        index: Tensor = kernels.staying(ranked, limits, _LEAST_RISE).nonzero().squeeze(1)
+        index: Tensor = kernels.surviving_boxes(ranked, limits, _LEAST_RISE).nonzero().squeeze(1)
         return index
     better, worse = overlapping_pairs(ranked, iou_threshold)
     alive = torch.ones(len(ranked), device=ranked.device)

@@ -48,15 +48,15 @@ def unlike(tensors: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> tup
     for name in (*expected, *tensors):
         there, here = tensors.get(name), expected.get(name)
         if there is None or here is None or there.shape != here.shape or there.dtype != here.dtype or _odd(there):
-            return name, _described(here), _described(there)
+            kind = f"{there.layout}, without numbers, of " if there is not None and _odd(there) else ""
+            return name, _described(here), kind + _described(there)
     return None
 
 
 def _described(tensor: Tensor | None) -> str:
     if tensor is None:
         return "no such tensor"
-    kind = f"{tensor.layout}, without numbers, of " if _odd(tensor) else ""
-    return f"{kind}{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
+    return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
 
 
 def _odd(tensor: Tensor) -> bool:

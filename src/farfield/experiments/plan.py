@@ -43,11 +43,14 @@ class Plan:
         experiment: What to train, and how.
         folder: The run's folder.
         data: Frames of streams that are open already, as they are to be trained on; those of the others are opened.
+        fingerprints: What stands for that of the frames of a stream in checkpoints and weights: a run that began on
+            frames which were simulated elsewhere goes on with it.
     """
 
     experiment: Experiment
     folder: Path
     data: Mapping[str, Dataset] = field(default_factory=dict)
+    fingerprints: Mapping[str, str] = field(default_factory=dict)
 
     def run(self, report: TrainingReport | None = None) -> Path:
         """Start or join the processes, make what data are to be simulated, and train; a run that stopped goes on.
@@ -104,7 +107,11 @@ class Plan:
             {name: self._samples(method, name, data[name], configs[name]) for name in method.streams},
             experiment.training,
             self.folder,
-            {**_provenance(experiment, data, configs), **self._provenance_of_start(transfer), **taken_out},
+            {
+                **_provenance(experiment, data, configs, self.fingerprints),
+                **self._provenance_of_start(transfer),
+                **taken_out,
+            },
             fabric=fabric,
             held={name: self._samples(method, name, held[name], configs[name], held=True) for name in held},
             score=None if validation is None else validation.score,
@@ -389,11 +396,16 @@ def _configs(experiment: Experiment, method: Method) -> dict[str, DataConfig]:
     return groups
 
 
-def _provenance(experiment: Experiment, data: dict[str, Dataset], configs: dict[str, DataConfig]) -> dict[str, Any]:
+def _provenance(
+    experiment: Experiment,
+    data: Mapping[str, Dataset],
+    configs: Mapping[str, DataConfig],
+    fingerprints: Mapping[str, str],
+) -> dict[str, Any]:
     """What travels in every checkpoint and in the weights: experiment, data, environment."""
     streams = {
         name: {
-            "data_fingerprint": frames.fingerprint(),
+            "data_fingerprint": fingerprints.get(name) or frames.fingerprint(),
             "frames": len(frames),
             "clouds": configs[name].clouds,
             "recipe": frames.recipe,

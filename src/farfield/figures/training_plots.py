@@ -70,6 +70,33 @@ RUN = (
 _NOT_DRAWN = ("step", "time", "round")
 
 
+def validation_curves(runs: Mapping[str, Sequence[tuple[Sequence[int], Sequence[float]]]]) -> "Figure":
+    """Scores on held-out frames over the steps, a panel a run and a line a seed; the last third of the steps is shaded.
+
+    Args:
+        runs: Of each run, by title, steps and scores (0 to 1) of each seed; at least one run.
+    """
+    columns = min(3, len(runs))
+    rows = -(-len(runs) // columns)
+    with house_style():
+        figure = new_figure(10.6, 0.5 + 2.3 * rows)
+        panels = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+        for axes in panels[len(runs) :]:
+            axes.set_axis_off()
+        for axes, (title, seeds) in zip(panels, runs.items(), strict=False):
+            axes.grid(visible=True)
+            for index, (steps, scores) in enumerate(seeds):
+                dashes = _DASHES[index % len(_DASHES)]
+                axes.plot(steps, scores, color=PATTERNS[0], ls=dashes, lw=1.4, marker="o", ms=2.2)
+            end = max((steps[-1] for steps, _ in seeds), default=0)
+            axes.axvspan(end * 2 / 3, end, color=MUTED, alpha=0.1, lw=0)
+            axes.set_title(title)
+            axes.set(xlabel="steps", ylim=(0, None))
+        for row in range(rows):
+            panels[row * columns].set_ylabel("mean AP on held-out frames")
+    return figure
+
+
 def courses(rows: Sequence[Row], panels: Sequence[CoursePanel]) -> "Figure | None":
     """What was logged over the steps; None where nothing of it was.
 

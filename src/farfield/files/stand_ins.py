@@ -32,6 +32,15 @@ ZIP = StandIn("a zip archive", "Unpack it: unzip FILE.")
 ZSTD = StandIn("a file packed by zstd", "Unpack it: unzstd FILE.zst.")
 XZ = StandIn("a file packed by xz", "Unpack it: unxz FILE.xz.")
 
+PROMISED = {
+    GZIP: (".gz", ".tgz"),
+    ZIP: (".zip", ".npz", ".pt", ".pth", ".ckpt"),
+    ZSTD: (".zst", ".zstd"),
+    XZ: (".xz",),
+    PAGE: (".html", ".htm"),
+}
+"""Suffixes of files that are such by nature: numpy's and torch's archives, and what is said to be packed."""
+
 UNFINISHED = (".crdownload", ".part", ".partial", ".download", ".tmp", ".filepart", ".aria2")
 """Suffixes that browsers and copiers give to what they have not finished."""
 
@@ -61,10 +70,10 @@ def refuse_stand_in(path: Path | str, head: bytes) -> None:
         head: Its first bytes.
 
     Raises:
-        FileFormatError: If it is one of those of :func:`stand_in`.
+        FileFormatError: If it is one of those of :func:`stand_in`, and its suffix promises another kind of file.
     """
     other = stand_in(head)
-    if other is not None:
+    if other is not None and Path(path).suffix.lower() not in PROMISED.get(other, ()):
         raise FileFormatError(path, where="byte 0", expected="the file itself", got=other.what, fix=other.fix)
 
 

@@ -16,7 +16,15 @@ from farfield.privacy import PictureSummary
 from farfield.privacy.image_boxes import FACE
 
 _SHOWN, _SIDE_PX, _MARGIN = 40, 220, 2.0
-HEADS = ("folder", "pictures", "faces", "number plates", "doubtful", "weak, left as they are", "pixels covered")
+HEADS = (
+    "folder",
+    "pictures and frames",
+    "covers of faces",
+    "covers of number plates",
+    "covers in doubt",
+    "weak boxes, left as they are",
+    "pixels covered",
+)
 
 
 def write_privacy_page(path: Path, folder: Path, summaries: Sequence[PictureSummary], *, title: str) -> None:

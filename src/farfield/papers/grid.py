@@ -64,7 +64,7 @@ class GridRun(DeclaredModel):
     scored: tuple[str, ...] = Field((), description="clouds that it is scored on besides those that claims name")
     tables: tuple[str, ...] = Field((), description="tables that show it besides those of the claims")
     augmentation: Tree = Field(default_factory=dict)
-    least_budget: Budget = "laptop"
+    least_budget: Budget | None = Field("laptop", description="smallest budget that runs it; null: those that name it")
 
 
 class Score(DeclaredModel):
@@ -111,6 +111,7 @@ class BudgetSettings(DeclaredModel):
     batch: int = Field(2, ge=1, description="frames a step of a run of one pattern")
     core_minutes: float | None = Field(None, gt=0, description="what the whole is to take at most")
     without: tuple[str, ...] = Field((), description="runs that this budget leaves out")
+    only: tuple[str, ...] = Field((), description="the only runs that it has; all of its size if empty")
     sets: dict[str, SimulatedSet]
     scored_on: tuple[str, ...] = Field(("val",), description="sets on whose frames all runs are scored")
     statistics_on: tuple[str, ...] = Field(("val",), description="sets whose statistics are taken")
@@ -169,10 +170,12 @@ class ExperimentGrid(DeclaredModel):
         """The runs that a budget has."""
         chosen, order = self.budgets[budget], (*BUDGETS, budget)
         size = order.index(budget)
+        if chosen.only:
+            return {name: run for name, run in self.runs.items() if name in chosen.only}
         return {
             name: run
             for name, run in self.runs.items()
-            if order.index(run.least_budget) <= size and name not in chosen.without
+            if run.least_budget is not None and order.index(run.least_budget) <= size and name not in chosen.without
         }
 
 
@@ -185,6 +188,8 @@ def _check_budget(grid: ExperimentGrid, name: str, budget: BudgetSettings) -> No
     missing = [set_name for set_name in (*budget.scored_on, *budget.statistics_on) if set_name not in budget.sets]
     if missing:
         raise ValueError(f"budget {name}: expected sets among {', '.join(budget.sets)}; got {', '.join(missing)}")
+    if unknown := sorted({*budget.only, *budget.without} - set(grid.runs)):
+        raise ValueError(f"budget {name}: expected runs among {', '.join(grid.runs)}; got {', '.join(unknown)}")
     if min(budget.steps, *budget.steps_of.values(), budget.steps) < budget.least_steps:
         raise ValueError(f"budget {name}: expected at least {budget.least_steps} steps of every run")
 

@@ -27,8 +27,8 @@ _TRAINING_ROOMS = (
 )
 _SCORING_ROOMS = ("evaluation", "metrics")
 _SOURCE = Path(__file__).resolve().parents[1]
-_INERT = ("checkpoint_every_s", "log_every_steps", "tensorboard", "workers")
-"""Settings of a training that do not change its weights."""
+_INERT = ("accelerator", "checkpoint_every_s", "log_every_steps", "tensorboard", "workers")
+"""Settings of a training that do not change its weights, or by no more than rounding."""
 _KEY_DIGITS = 12
 
 
@@ -44,6 +44,7 @@ class TrainingJob:
         clouds: Clouds that it is scored on.
         start: Folder of the job whose weights it starts from; empty for none.
         network: The budget's name of its network; of the table of transfer the world, whose clouds a step reads.
+        fingerprints: Of the frames of its streams, as its key has them; empty where there are none yet.
     """
 
     runs: tuple[str, ...]
@@ -53,6 +54,7 @@ class TrainingJob:
     clouds: tuple[str, ...]
     start: str = ""
     network: str = "grid"
+    fingerprints: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def folder(self) -> str:
@@ -90,6 +92,7 @@ def jobs_of(
     runs_folder: Path,
     *,
     steps_share: float = 1.0,
+    training: Tree | None = None,
 ) -> list[TrainingJob]:
     """All jobs of a budget, seed by seed, so that an interrupted grid has whole tables of fewer seeds.
 
@@ -100,6 +103,7 @@ def jobs_of(
         data: Where the data stand.
         runs_folder: Folder of all jobs' folders.
         steps_share: Share of the budget's steps.
+        training: Settings of all trainings that stand over those of the grid and the budget.
 
     Raises:
         ConfigError: If there is no such budget.
@@ -114,7 +118,7 @@ def jobs_of(
         of_seed: dict[str, TrainingJob] = {}
         for name in ordered:
             start = of_seed.get(runs[name].start)
-            job = _job(grid, budget, name, seed, data, runs_folder, start, steps_share)
+            job = _job(grid, budget, name, seed, data, runs_folder, start, steps_share, training or {})
             job = jobs.get(job.key, job)  # two runs of one experiment are one job
             names = tuple(dict.fromkeys((*job.runs, name)))
             scored = sorted({cloud for run in names for cloud in clouds.get(run, ())})
@@ -153,8 +157,9 @@ def _job(
     runs_folder: Path,
     start: TrainingJob | None,
     steps_share: float,
+    training: Tree,
 ) -> TrainingJob:
-    run, tree = grid.runs[name], _tree(grid, budget, name, seed, data, steps_share)
+    run, tree = grid.runs[name], _tree(grid, budget, name, seed, data, steps_share, training)
     if start is not None:
         tree["method"]["start"] = str(runs_folder / start.folder)
     experiment = Experiment.model_validate(tree)
@@ -167,10 +172,19 @@ def _job(
         clouds=(),
         start=start.folder if start else "",
         network=run.network,
+        fingerprints=fingerprints,
     )
 
 
-def _tree(grid: ExperimentGrid, budget: str, name: str, seed: int, data: DataLocations, steps_share: float) -> Tree:
+def _tree(
+    grid: ExperimentGrid,
+    budget: str,
+    name: str,
+    seed: int,
+    data: DataLocations,
+    steps_share: float,
+    training_over: Tree,
+) -> Tree:
     """The experiment of a run as its YAML would have it."""
     run, settings = grid.runs[name], grid.budgets[budget].lowered(steps_share)
     groups = {
@@ -185,7 +199,7 @@ def _tree(grid: ExperimentGrid, budget: str, name: str, seed: int, data: DataLoc
         for stream, source in run.streams.items()
     }
     changes = {name: tree for name, tree in settings.augmentation.items() if name in run.augmentation}
-    training = merge_trees(grid.training, settings.training)
+    training = merge_trees(grid.training, settings.training, training_over)
     training |= {
         "steps": settings.steps_for(run.network),
         "batch_size": round(run.batch * settings.batch),

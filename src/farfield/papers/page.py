@@ -11,6 +11,7 @@ from typing import Any
 from farfield.figures.dataset_plots import features_apart, points_by_range, ranges_of_classes, returns_by_weather
 from farfield.figures.plots import precision_recall
 from farfield.figures.style import figure_uri
+from farfield.figures.training_plots import validation_curves
 from farfield.files.atomic import write_text
 from farfield.pages.template import PageImage, render_template
 from farfield.papers.scenarios import NOTHING, scenario_tables
@@ -63,7 +64,12 @@ def write_page(
         tables=[_table(table, summary, timing) for table in summary["tables"]],
         classes=summary["classes"],
         scenarios=scenario_tables(summary.get("scenarios") or {}),
-        pictures=[*_pictures(summary["paper"], curves or {}, objects or {}), *_features(summary.get("features", ()))],
+        validation=_validation(summary.get("validation", ())),
+        pictures=[
+            *_learning(summary.get("validation", ())),
+            *_pictures(summary["paper"], curves or {}, objects or {}),
+            *_features(summary.get("features", ())),
+        ],
         sheets=[(group, group.pictures()) for group in sheets],
         memory=memory_rows(timing),
         unmeasured=missing_memory(summary, timing),
@@ -207,18 +213,62 @@ def _facts(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[tuple[
         machine = ", ".join(word for word in (device, group["precision"], f"torch {group['torch']}") if word)
         runs = f"{group['runs']} run{'' if group['runs'] == 1 else 's'}"
         groups.append(f"{runs}: {machine}, commit {group['commit']}")
-    here = summary["environment"]
+    here, planned, options = summary["environment"], timing["planned"], timing.get("options", {})
+    cost = f"{planned['core_minutes']:.0f} core minutes" if planned["core_minutes"] else "all trainings were there"
+    chosen = {name: options.get(name, "") for name in ("device", "precision")}
+    flags = ", ".join(f"{name} {value}" for name, value in chosen.items() if value not in ("", "auto"))
     return [
         ("budget", f"{summary['budget']}: {summary['words']}"),
         ("seeds", str(summary["seeds"])),
         ("steps", f"{steps}; {summary['batch']} frames a step of one pattern"),
         ("data", "; ".join(sets)),
         ("claims", f"declared before the runs, SHA-256 {summary['claims_sha256']}"),
-        ("planned", f"{timing['planned']['core_minutes']:.0f} core minutes, {timing['planned']['workers']} workers"),
+        ("planned", f"{cost}, {planned['workers']} workers{f'; asked for: {flags}' if flags else ''}"),
         ("trained on", "; ".join(groups) or NOTHING),
         ("commit", str(here["commit"])),
         ("versions", ", ".join(f"{name} {version}" for name, version in here["versions"].items())),
         ("machine", f"{here['processor']}, Python {here['python']}"),
+    ]
+
+
+def _validation(curves: Sequence[Mapping[str, Any]]) -> list[View]:
+    """Of each run the score after the last step, the gain over the last third and what the rule says, seed by seed."""
+    rows = []
+    for curve in curves:
+        sides = [("mean over seeds", curve["mean"]), *((f"seed {seed['seed']}", seed) for seed in curve["seeds"])]
+        for index, (name, side) in enumerate(sides):
+            interval = side["interval"]
+            row = {
+                "run": "" if index else curve["run"].replace("_", " "),
+                "side": name,
+                "score": _figure(side["scores"][-1] if side["scores"] else None, in_mb=False),
+                "gain": _signed(side["gain"]),
+                "interval": f"{_signed(interval[0])} to {_signed(interval[1])}" if interval else "",
+                "words": side["words"],
+            }
+            rows.append(row)
+    return rows
+
+
+def _learning(curves: Sequence[Mapping[str, Any]]) -> list[PageImage]:
+    """The curves of the runs that were scored while they trained."""
+    if not curves:
+        return []
+    named = {
+        f"{curve['run'].replace('_', ' ')}: {curve['mean']['words']}": [
+            (seed["steps"], seed["scores"]) for seed in curve["seeds"]
+        ]
+        for curve in curves
+    }
+    return [
+        PageImage(
+            figure_uri(validation_curves(named)),
+            "Score on held-out roads over the steps of each training, a panel a row of the table and a line a seed",
+            f"nuScenes' mean AP over classes on {curves[0]['frames']} frames of roads that were held out of the "
+            "training; the frozen split that decides has no part in it. Shaded: the last third, over which the "
+            "gain is taken.",
+            heading="Scores while they trained",
+        )
     ]
 
 

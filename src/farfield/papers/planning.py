@@ -269,7 +269,9 @@ def described(outline: GridPlan) -> list[str]:
     lines = [
         f"budget {outline.budget}: {outline.rows} runs x {outline.seeds} seeds, {outline.jobs} trainings; "
         f"steps: {steps}{lowered}",
-        f"cost on this machine: {cost.core_minutes:.0f} core minutes (simulating {cost.simulating:.0f}, training "
+        "cost: not measured, for all trainings are done"
+        if not cost.core_minutes
+        else f"cost on this machine: {cost.core_minutes:.0f} core minutes (simulating {cost.simulating:.0f}, training "
         f"{cost.training:.0f}, scoring {cost.scoring:.0f}) = {outline.minutes:.0f} minutes with {outline.workers} "
         f"worker{'' if outline.workers == 1 else 's'}",
     ]

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from farfield.detectors.devices import chosen_device
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_text
@@ -24,19 +25,35 @@ from farfield.papers.claims import Claims
 from farfield.papers.claims import load as load_claims
 from farfield.papers.deciding import DecisionRule, Scores
 from farfield.papers.feature_maps import feature_maps
+from farfield.papers.fingerprints import learnt_fingerprints, note_fingerprints
 from farfield.papers.grid import BudgetSettings, ExperimentGrid, Tree, load_grid
 from farfield.papers.jobs import DataLocations, TrainingJob, jobs_of
 from farfield.papers.locations import DataLocation, fingerprints_of, locations_of, provide, simulation_needed
-from farfield.papers.running import WEIGHTS, Report, clocks_of, do_all, done_jobs, no_progress, scores_of, silent
+from farfield.papers.running import (
+    SCORES,
+    WEIGHTS,
+    Report,
+    clocks_of,
+    do_all,
+    done_jobs,
+    no_progress,
+    scores_of,
+    silent,
+    train_all,
+)
 from farfield.papers.scenarios import scenarios_of, seeds_of
 from farfield.papers.scoring import ScoringTask, needs_of
 from farfield.papers.sheets import SheetGroup, sheet_locations, sheets_of
 from farfield.papers.statistics import objects_in
 from farfield.papers.summary import ReproductionSummary, curves_of, summary_of
+from farfield.papers.validation import validation_of
 from farfield.vocabulary.patterns import PATTERNS
 
 MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
 _MAX_BYTES = 1 << 26
+_ACCELERATORS = {"auto": "auto", "cpu": "cpu", "cuda": "gpu"}
+"""What a training calls the devices."""
+_PRECISIONS = ("", "auto", "fp32", "bf16")
 
 
 @contextmanager
@@ -70,12 +87,14 @@ class Reproduction:
         workers: Processes, one thread each; 0 for as many as there are cores.
         data: The user's data set; without one all is simulated.
         source: The user's data of the other device, for Table IV.
+        device: What trains and detects: ``"auto"``, ``"cpu"`` or ``"cuda"``, a GPU that all workers share.
+        precision: Number type of all trainings: ``"auto"``, ``"fp32"`` or ``"bf16"``; empty for the budget's.
         measured_steps: Steps of each trial before the plan is made.
         progress: Makes what wraps the numbers of units that are left, by what is done.
         report: Called with each line for the user.
 
     Raises:
-        ConfigError: If there is no such budget.
+        ConfigError: If there is no such budget, device or precision.
     """
 
     grid: ExperimentGrid
@@ -86,6 +105,8 @@ class Reproduction:
     workers: int = 0
     data: Path | None = None
     source: Path | None = None
+    device: str = "auto"
+    precision: str = ""
     measured_steps: int = planning.STEPS
     progress: Callable[[str], Progress] = no_progress
     report: Report = silent
@@ -95,6 +116,10 @@ class Reproduction:
             raise ConfigError(f"--budget: expected one of {', '.join(self.grid.budgets)}; got {self.budget!r}")
         if self.minutes is not None and self.minutes <= 0:
             raise ConfigError(f"--minutes: expected more than 0, got {self.minutes:g}")
+        if self.device not in _ACCELERATORS:
+            raise ConfigError(f"--device: expected one of {', '.join(_ACCELERATORS)}; got {self.device!r}")
+        if self.precision not in _PRECISIONS:
+            raise ConfigError(f"--precision: expected one of {', '.join(_PRECISIONS[1:])}; got {self.precision!r}")
 
     @classmethod
     def of(cls, paper: str, **options: Any) -> "Reproduction":
@@ -147,7 +172,38 @@ class Reproduction:
     ) -> list[TrainingJob]:
         """All trainings, seed by seed."""
         data = DataLocations(locations=locations, fingerprints=fingerprints or {})
-        return jobs_of(self.grid, self.budget, self.claims, data, self._runs, steps_share=steps_share)
+        training: Tree = {} if self.device == "auto" else {"accelerator": _ACCELERATORS[self.device]}
+        training |= {"precision": self.precision} if self.precision else {}
+        return jobs_of(
+            self.grid, self.budget, self.claims, data, self._runs, steps_share=steps_share, training=training
+        )
+
+    def train(self) -> list[TrainingJob]:
+        """Simulate what runs learn from and train all that is not trained, as :meth:`run` would, and score nothing.
+
+        Where nothing limits the minutes, the steps are those of the budget and nothing is measured first. The folder
+        may then be taken to another machine, without its data: there :meth:`run`, with this name of the folder and the
+        same code, trains what is left and scores.
+
+        Returns:
+            The trainings whose weights are not there: those that diverged.
+
+        Raises:
+            ConfigError: If the plan does not fit into the minutes, there is no such device, or another command is at
+                work in the folder.
+        """
+        chosen_device(self.device)
+        with sole_command(self.out):
+            share = self.outline().steps_share if self._limited else 1.0
+            locations, learnt = self.locations, self._learnt()
+            needed = {name: locations[name] for name in sorted(self._untrained(share))}
+            provide(needed, workers=self.num_workers, progress=self.progress("simulating"), report=self.report)
+            fingerprints = learnt_fingerprints(self.out, locations, learnt)
+            note_fingerprints(self.out, locations, fingerprints)
+            jobs = self.jobs(locations, fingerprints, steps_share=share)
+            scoring, progress = self._scoring(locations, {}), self.progress("trainings")
+            train_all(jobs, self._runs, scoring, workers=self.num_workers, progress=progress, report=self.report)
+        return [job for job in jobs if not (self._runs / job.folder / WEIGHTS).is_file()]
 
     def run(self, *, page_only: bool = False) -> Path:
         """Do all that is not done, and write the summary and the page.
@@ -165,6 +221,7 @@ class Reproduction:
             ConfigError: If the plan does not fit into the minutes, nothing is there for a page, or another command is
                 at work in the folder.
         """
+        chosen_device(self.device)
         if page_only:
             self.out.mkdir(parents=True, exist_ok=True)
             return self._run(page_only=True)
@@ -177,12 +234,18 @@ class Reproduction:
         for line in planning.described(outline):
             self.report(line)
         # simulate
-        locations = self.locations
+        locations, share = self.locations, outline.steps_share
+        learnt = self._learnt()
         if not page_only:
-            provide(locations, workers=self.num_workers, progress=self.progress("simulating"), report=self.report)
-        fingerprints = fingerprints_of(locations)
+            others = set(locations) - learnt
+            needed = {name: locations[name] for name in locations if name in others | self._untrained(share)}
+            provide(needed, workers=self.num_workers, progress=self.progress("simulating"), report=self.report)
+        fingerprints = learnt_fingerprints(self.out, locations, learnt)
+        if not page_only:
+            note_fingerprints(self.out, locations, fingerprints)
+        fingerprints |= fingerprints_of({name: locations[name] for name in locations if name not in learnt})
         # train and score
-        jobs = self.jobs(locations, fingerprints, steps_share=outline.steps_share)
+        jobs = self.jobs(locations, fingerprints, steps_share=share)
         scoring = self._scoring(locations, fingerprints)
         if not page_only:
             progress = self.progress("runs")
@@ -200,6 +263,8 @@ class Reproduction:
         stored = _read(self.out / PLAN)
         if stored.get("asked") == self._planned_for:
             return planning.outline_of(stored["outline"])
+        if not self._limited and not self._untrained():
+            return self._unmeasured()
         outline = self._plan()
         tree = {"asked": self._planned_for, "outline": outline.to_json()}
         write_text(self.out / PLAN, json.dumps(tree, indent=1) + "\n")
@@ -301,6 +366,42 @@ class Reproduction:
             simulating_s=simulating,
         )
 
+    @property
+    def _limited(self) -> bool:
+        """Whether minutes may lower the steps."""
+        return self.minutes is not None or self.settings.core_minutes is not None
+
+    def _unmeasured(self) -> planning.GridPlan:
+        """The plan of a grid whose trainings are done: the declared steps; what scoring costs is not measured."""
+        jobs, runs = self.jobs(self.locations), tuple(self.grid.runs_of(self.budget))
+        return planning.GridPlan(
+            budget=self.budget,
+            steps_share=1.0,
+            steps={network: self.settings.steps_for(network) for network in sorted({job.network for job in jobs})},
+            jobs=len(jobs),
+            rows=len(runs),
+            seeds=self.settings.seeds,
+            cost=planning.GridCost(simulating=0.0, training=0.0, scoring=0.0),
+            workers=self.num_workers,
+            outlooks=planning.outlooks(self.claims, runs, self.settings),
+        )
+
+    def _learnt(self) -> set[str]:
+        """The sets that runs learn from and none is scored on."""
+        runs = self.grid.runs_of(self.budget).values()
+        learnt = {stream.set for run in runs for stream in run.streams.values()}
+        return learnt - {*self.settings.scored_on, *self.settings.statistics_on}
+
+    def _untrained(self, steps_share: float = 1.0) -> set[str]:
+        """The sets that a training is left of, which is neither trained nor known to diverge."""
+        locations, learnt = self.locations, self._learnt()
+        fingerprints = learnt_fingerprints(self.out, locations, learnt)
+        jobs = self.jobs(locations, fingerprints, steps_share=steps_share)
+        ends = (WEIGHTS, SCORES)
+        left = [job for job in jobs if not any((self._runs / job.folder / name).is_file() for name in ends)]
+        sets = {stream.set for job in left for stream in self.grid.runs[job.runs[0]].streams.values()}
+        return sets | (learnt - set(fingerprints))
+
     @staticmethod
     def _existing(names: Iterable[str], locations: Mapping[str, DataLocation]) -> dict[str, DataLocation]:
         """Those of the sets that there are; the validation set where there is none of them."""
@@ -311,9 +412,10 @@ class Reproduction:
         return ScoringTask(
             score=self.settings.score,
             locations=scored,
-            fingerprints={name: fingerprints[name] for name in scored},
+            fingerprints={name: fingerprints.get(name, "") for name in scored},
             needs=tuple(needs_of(self.claims, self.grid, self.settings.score)),
             replicates=self.settings.replicates,
+            device=self.device,
         )
 
     # Deciding and showing
@@ -353,6 +455,7 @@ class Reproduction:
             failed=[(tree["runs"][0], tree["seed"], tree["failed"]) for tree in trees if tree.get("failed")],
             sets={name: (fingerprints[name], location.simulated) for name, location in locations.items()},
             trained_on=[load_weights(path)[1] for path in weights.values()],
+            validation=validation_of(done, self._runs),
         )
         summary = summary_of(reproduced, self.grid, self.claims, scores, objects, comparisons)
         first_set = next(iter(scoring.locations.values()))
@@ -368,7 +471,8 @@ class Reproduction:
         write_text(self.out / SUMMARY, json.dumps(summary, indent=1) + "\n")
         # what the clocks measured, and the page
         runs = {job.folder: {"runs": list(job.runs), "clock": clocks_of(job, self._runs)} for job in done}
-        timing = {"planned": outline.to_json(), "runs": runs}
+        flags = {"device": self.device, "precision": self.precision, "workers": self.num_workers}
+        timing = {"planned": outline.to_json(), "options": flags, "runs": runs}
         write_text(self.out / TIMING, json.dumps(timing, indent=1) + "\n")
         curves = curves_of(scores, self.settings.score)
         return write_page(self.out / PAGE, summary, timing, curves=curves, objects=objects.columns, sheets=sheets)

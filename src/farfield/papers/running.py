@@ -22,6 +22,7 @@ from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.jobs.runs import Progress
 from farfield.papers.grid import Tree
 from farfield.papers.jobs import TrainingJob, waves
+from farfield.training.checkpoints import CHECKPOINT_NAME
 from farfield.training.report import TrainingReport
 
 JOURNAL = ".journal.jsonl"
@@ -74,10 +75,12 @@ class RunTask:
     Args:
         folder: Folder of all jobs' folders.
         scoring: How it is scored.
+        train_only: Leave the scoring to a later command, here or where the folder is taken to.
     """
 
     folder: Path
     scoring: GridScoring
+    train_only: bool = False
 
     own_process = True
 
@@ -87,7 +90,10 @@ class RunTask:
         return self.scoring.memory_bytes
 
     def __call__(self, unit: Unit) -> UnitResult:
-        """Train unless the weights are there, score, and write the scores; a training that diverged has none."""
+        """Train unless the weights are there, score, and write the scores; a training that diverged has none.
+
+        The checkpoint is removed once it is of no use. The clock gets a line, one more where only to train was asked.
+        """
         job: TrainingJob = unit.parameters
         home, began = self.folder / job.folder, time.monotonic()
         weights = home / WEIGHTS
@@ -98,7 +104,7 @@ class RunTask:
         failure = ""
         if not weights.is_file():
             try:
-                Plan(job.experiment, home, data=self.scoring.frames(job)).run(cpu_time)
+                Plan(job.experiment, home, data=self.scoring.frames(job), fingerprints=job.fingerprints).run(cpu_time)
             except RuntimeError as error:
                 if "non-finite" not in str(error):
                     raise
@@ -108,6 +114,10 @@ class RunTask:
         clock: dict[str, Any] = {"training_s": round(trained - began, 1), "peak_memory_mb": peak_memory_mb()}
         if brought:
             clock["brought"] = True
+        if self.train_only:
+            if weights.is_file() and not brought:
+                self._finish(home, clock, cpu_time)
+            return UnitResult(clock=clock)
         # score, and note the time
         scores = (
             {"runs": list(job.runs), "seed": job.seed, "key": job.key, "clouds": {}, "failed": failure}
@@ -115,13 +125,17 @@ class RunTask:
             else self.scoring.of_job(job, weights)
         )
         write_text(home / SCORES, json.dumps(scores, separators=(",", ":")) + "\n")
-        (home / "checkpoint.pt").unlink(missing_ok=True)
         clock["scoring_s"] = round(time.monotonic() - trained, 1)
+        self._finish(home, clock, cpu_time)
+        return UnitResult(files=(home / SCORES,), clock=clock)
+
+    @staticmethod
+    def _finish(home: Path, clock: dict[str, Any], cpu_time: "CpuTime") -> None:
+        (home / CHECKPOINT_NAME).unlink(missing_ok=True)
         clock["processor_s"] = round(cpu_time.seconds, 1)
         with (home / CLOCK).open("a", encoding="utf-8") as file:
             file.write(json.dumps(clock) + "\n")
         cpu_time.remove()
-        return UnitResult(files=(home / SCORES,), clock=clock)
 
 
 class CpuTime(TrainingReport):
@@ -202,6 +216,36 @@ def do_all(
             names = ", ".join(dict.fromkeys(name for job in wave for name in job.runs))
             report(f"{left} of {len(units)} runs are left: {names}")
         run(RunTask(folder, scoring), units, JobOptions(workers=workers, progress=progress), journal=journal)
+
+
+def train_all(
+    jobs: Sequence[TrainingJob],
+    folder: Path,
+    scoring: GridScoring,
+    *,
+    workers: int,
+    progress: Progress = iter,
+    report: Report = silent,
+) -> None:
+    """Train all jobs whose weights are not there, in the order of :func:`do_all`, and score none.
+
+    Args:
+        jobs: The jobs.
+        folder: Folder of their folders.
+        scoring: Gives the frames that their experiments do not open.
+        workers: Processes, one thread each.
+        progress: Wraps the numbers of the jobs that are left.
+        report: Called with a line before each wave.
+
+    Raises:
+        BulkError: If jobs killed their workers twice; all others are done.
+    """
+    for wave in waves(jobs):
+        left = [job for job in wave if not (folder / job.folder / WEIGHTS).is_file()]
+        if left:
+            report(f"{len(left)} of {len(wave)} trainings are left: {', '.join(job.experiment.name for job in left)}")
+            task = RunTask(folder, scoring, train_only=True)
+            run(task, units_of(left), JobOptions(workers=workers, progress=progress))
 
 
 def units_of(jobs: Iterable[TrainingJob]) -> list[Unit]:

@@ -99,6 +99,7 @@ class ScoringTask(GridScoring):
         fingerprints: Fingerprint of the frames of each set.
         needs: The numbers that claims compare.
         replicates: Draws of the sequences.
+        device: What detects: ``"auto"``, ``"cpu"`` or ``"cuda"``.
     """
 
     score: Score
@@ -106,6 +107,7 @@ class ScoringTask(GridScoring):
     fingerprints: Mapping[str, str]
     needs: tuple[RequiredScore, ...]
     replicates: int
+    device: str = "auto"
 
     @property
     def digest(self) -> str:
@@ -132,7 +134,7 @@ class ScoringTask(GridScoring):
 
     def detections(self, weights: Path, cloud: str) -> Detections:
         """Detections of a run in all frames; a journal beside the weights keeps them for the next time."""
-        detector = Detector.load(weights)
+        detector = Detector.load(weights, device=self.device)
         by_set = {
             name: detect(
                 detector,

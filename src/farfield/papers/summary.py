@@ -36,6 +36,7 @@ class ReproductionSummary:
         sets: Fingerprint of each set, and what was simulated for it.
         failed: Run, seed and reason of trainings that diverged.
         trained_on: Of each finished training's weights, their provenance.
+        validation: Curves of scores along the trainings, where there are any.
     """
 
     paper: str
@@ -47,6 +48,7 @@ class ReproductionSummary:
     sets: Mapping[str, tuple[str, SimulatedSet | None]]
     failed: Sequence[tuple[str, int, str]] = ()
     trained_on: Sequence[Tree] = ()
+    validation: Sequence[Tree] = ()
 
 
 def summary_of(
@@ -94,6 +96,7 @@ def summary_of(
         "classes": classes_of(grid, settings, Counter(objects.label.tolist())),
         "claims": [_claim(claim, claims, comparisons) for claim in claims],
         "trained_on": _trained_on(summary.trained_on),
+        **({"validation": list(summary.validation)} if summary.validation else {}),
         "environment": environment(),
     }
 

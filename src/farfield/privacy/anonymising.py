@@ -129,6 +129,27 @@ class PictureSummary:
         return {"file": self.file, **frame, **rows} | ({"left": [dict(row) for row in self.left]} if self.left else {})
 
 
+def count_covers(summaries: Iterable[PictureSummary], kind: str, *, together: bool = True) -> tuple[int, int]:
+    """How many tracks of a kind there are, and how many covers: one a picture or frame for as long as a track lasts.
+
+    A track is one object that is followed; an object lost for longer than a gap counts again. A cover that comes
+    from the other eye has no track of its own.
+
+    Args:
+        summaries: From :func:`anonymise`.
+        kind: ``face`` or ``plate``.
+        together: Whether tracks go on from one picture to the next (:class:`AnonymizeOptions`).
+    """
+    tracks, covers = set(), 0
+    for summary in summaries:
+        series = summary.file if summary.frame is not None else Path(summary.file).parent.as_posix()
+        track_series = series if together else f"{summary.file} {summary.frame}"
+        rows = [row for row in summary.rows if row["kind"] == kind]
+        covers += len(rows)
+        tracks |= {(track_series, row["track"]) for row in rows if row["track"] is not None}
+    return len(tracks), covers
+
+
 def anonymise(
     sources: Sources,
     out: Path,

@@ -4,12 +4,14 @@
 It takes RGB from 0 to 255, and pictures whose sides are multiples of 32; the order of the colours matters (BGR loses
 small faces without a sign). Its box is tight: it leaves out forehead, ears and chin, so boxes are grown by half.
 
-**Plates**: no package with a free licence ships a plate detector that works, so the network learnt on drawn plates only
-(``benchmarks/privacy.py``): plates of many countries with random strings on the vehicles of simulated pictures. It
-looks at the picture at its own size, half and a quarter.
+**Plates**: no package with a free licence ships a plate detector that works, so two networks learnt on drawn plates
+(``benchmarks/privacy.py``): plates of many countries with random strings on the vehicles of simulated pictures. The
+first looks at the picture at its own size, half and a quarter, and proposes boxes; the second judges each of them with
+what stands around it. What no published size of a plate can look like, from wherever it is seen, is left out.
 """
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 from importlib.util import find_spec
@@ -17,14 +19,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from farfield.errors import FarfieldError, MissingExtraError
 from farfield.files.atomic import read_bytes
 from farfield.privacy.image_boxes import FACE, PLATE, ImageBoxes, suppress_overlapping
 
 if TYPE_CHECKING:
-    from farfield.privacy.plate_network import PlateNetwork
+    from torch import Tensor
+
+    from farfield.privacy.plate_network import PlateJudge, PlateNetwork
 
 STRIDE = 4  # pixels a cell of either network's maps
 _NMS_IOU = 0.3
@@ -34,10 +38,22 @@ _FACE_GROWTH, _FACE_MARGIN_PX = 1.5, 3.0
 _FACE_OUTPUTS = ("537", "538", "539", "540")  # heat, log of height and width, offset of row and column, landmarks
 _FACE_MODEL_BYTES = 20_000_000
 
+_SURE_FACE, _TOUCHED_FACE = 0.5, 0.1
+
 HALVINGS = 2
 PLATE_THRESHOLD = 0.3
 _PLATE_GROWTH, _PLATE_MARGIN_PX = 1.3, 2.0
 _WEAK_PLATE = 0.1
+_PROPOSED, _PROPOSALS_A_MEGAPIXEL, _LEAST_PROPOSALS, _MOST_PROPOSALS = 0.05, 64, 16, 48
+_SAME_PROPOSAL_IOU = 0.6
+# Upright width over height. Published sizes go from 180 x 200 mm (motorcycles) to 520 x 110 mm (Europe): 0.9 to 4.7.
+# Turned by 75 degrees a plate is a quarter as wide; from 30 degrees above it is 0.87 times as high.
+PLATE_ASPECTS = (0.9 * 0.26, 4.73 / 0.87)
+# A plate has five characters or more, and the smallest letters that can be read are 3 x 5 pixels with a pixel between.
+LEAST_PLATE_PX2 = 5 * 4 * 6
+PLATES_MISSED = (14, 26)
+"""Plates that are not covered, of how many in photographs: ``benchmarks/privacy.py plates measure``."""
+
 _INSIDE, _LARGER = 0.3, 3.0
 _MOST_PLATES = 300  # more boxes than this in one map are no plates
 _LARGEST_CELLS = 64.0
@@ -156,17 +172,22 @@ class PlateDetector:
 
     def __init__(self, *, least_score: float = PLATE_THRESHOLD, weights: Path | None = None) -> None:
         self.least_score, self.weights = least_score, weights
-        self.digest = _load_plate_network(weights or _PLATE_WEIGHTS)[1]
+        self.digest = _load_plate_networks(weights or _PLATE_WEIGHTS)[2]
 
     def __call__(self, image: UInt8[np.ndarray, "height width 3"]) -> ImageBoxes:
         """Find the plates of an RGB picture; the boxes are grown so that the rim lies inside."""
-        network = _load_plate_network(self.weights or _PLATE_WEIGHTS)[0]
+        finder, judge, _ = _load_plate_networks(self.weights or _PLATE_WEIGHTS)
+        sizes = picture_sizes(image)
         by_size = [
-            decode_plates(maps, min(self.least_score, _WEAK_PLATE)).scaled(2.0**halving)
-            for halving, maps in enumerate(predict_plate_maps(network, image))
+            decode_plates(maps, _PROPOSED).scaled(2.0**halving)
+            for halving, maps in enumerate(predict_plate_maps(finder, sizes))
         ]
-        merged = merge_overlapping(ImageBoxes.concatenate(by_size))
-        tight = merged[merged.score >= self.least_score]
+        most = int(image.shape[0] * image.shape[1] * 1e-6 * _PROPOSALS_A_MEGAPIXEL)
+        most = min(max(most, _LEAST_PROPOSALS), _MOST_PROPOSALS)
+        proposals = suppress_overlapping(ImageBoxes.concatenate(by_size), _SAME_PROPOSAL_IOU)[:most]
+        judged = judge_plates(judge, sizes, proposals)
+        merged = merge_overlapping(judged[judged.score >= min(self.least_score, _WEAK_PLATE)])
+        tight = merged[(merged.score >= self.least_score) & may_be_plate(merged)]
         return tight.grown(_PLATE_GROWTH, _PLATE_MARGIN_PX).within(image.shape[1], image.shape[0])
 
 
@@ -179,24 +200,70 @@ def why_no_plates() -> str:
     return ""
 
 
-def predict_plate_maps(
-    network: "PlateNetwork", image: UInt8[np.ndarray, "height width 3"]
-) -> list[Float[np.ndarray, "5 rows columns"]]:
-    """The network's maps of a picture, the first of them scores, at its own size, half and a quarter."""
+def picture_sizes(image: UInt8[np.ndarray, "height width 3"]) -> "list[Tensor]":
+    """A picture at its own size, half and a quarter, from 0 to 1, shapes (1, 3, h, w); prolonged at right and below."""
     import torch
 
-    side = 16 << HALVINGS
+    from farfield.privacy.plate_network import SIDE, halved
+
+    side = SIDE << HALVINGS
     down, right = (-length % side for length in image.shape[:2])
     padded = np.pad(image, ((0, down), (0, right), (0, 0)), mode="edge")
-    pixels = torch.from_numpy(padded).permute(2, 0, 1)[None].float() / 255
+    with torch.inference_mode():
+        return halved(torch.from_numpy(padded).permute(2, 0, 1)[None].float() / 255, HALVINGS)
+
+
+def predict_plate_maps(finder: "PlateNetwork", sizes: "list[Tensor]") -> list[Float[np.ndarray, "5 rows columns"]]:
+    """The finder's maps of a picture, the first of them scores, at each of :func:`picture_sizes`."""
+    import torch
+
     maps_by_size = []
     with torch.inference_mode():
-        for halving in range(HALVINGS + 1):
-            pixels = torch.nn.functional.avg_pool2d(pixels, 2) if halving else pixels
-            maps = network(pixels)[0]
+        for pixels in sizes:
+            maps = finder(pixels)[0]
             maps[0] = maps[0].sigmoid()
             maps_by_size.append(np.asarray(maps.numpy(), dtype=np.float64))
     return maps_by_size
+
+
+def judge_plates(judge: "PlateJudge", sizes: "list[Tensor]", proposals: ImageBoxes) -> ImageBoxes:
+    """The proposals with the score and the edges that the judge gives them."""
+    import torch
+
+    from farfield.privacy.plate_network import cut_patches, judged_boxes
+
+    if not len(proposals):
+        return proposals
+    box_px = torch.from_numpy(proposals.box_px).float()
+    with torch.inference_mode():
+        judged = judge(cut_patches(sizes, torch.zeros(len(proposals), dtype=torch.long), box_px))
+        tight_px, score = judged_boxes(box_px, judged).double().numpy(), judged[:, 0].sigmoid().double().numpy()
+    return ImageBoxes.of_kind(PLATE, tight_px, score)
+
+
+def find_boxes(image: UInt8[np.ndarray, "height width 3"], finders: Iterable[ImageFinder]) -> ImageBoxes:
+    """What all detectors say of a picture, without plates that touch a sure face.
+
+    A plate hangs on a vehicle's end. What reaches into the box of a face is the front of a shop, a bag or a shirt.
+    """
+    boxes = ImageBoxes.concatenate([finder(image) for finder in finders])
+    is_plate, is_face = boxes.kind == PLATE, (boxes.kind == FACE) & (boxes.score >= _SURE_FACE)
+    face_px = boxes.box_px[is_face]
+    low = np.maximum(boxes.box_px[:, None, :2], face_px[None, :, :2])
+    shared_px2 = (np.minimum(boxes.box_px[:, None, 2:], face_px[None, :, 2:]) - low).clip(min=0).prod(axis=2)
+    touches = (shared_px2 >= _TOUCHED_FACE * (face_px[:, 2:] - face_px[:, :2]).prod(axis=1)).any(axis=1)
+    return boxes[~(is_plate & touches)]
+
+
+def may_be_plate(boxes: ImageBoxes) -> Bool[np.ndarray, " n"]:
+    """Which boxes may be a plate by size and shape.
+
+    They have the sides of a published size seen from anywhere (:data:`PLATE_ASPECTS`), and are not so small that there
+    is nothing to read (:data:`LEAST_PLATE_PX2`).
+    """
+    width, height = (boxes.box_px[:, 2:] - boxes.box_px[:, :2]).T
+    has_shape = (width >= PLATE_ASPECTS[0] * height) & (width <= PLATE_ASPECTS[1] * height)
+    return np.asarray(has_shape & (width * height >= LEAST_PLATE_PX2))
 
 
 def decode_plates(maps: Float[np.ndarray, "5 rows columns"], least_score: float) -> ImageBoxes:
@@ -243,12 +310,12 @@ def merge_overlapping(boxes: ImageBoxes) -> ImageBoxes:
 
 
 @lru_cache(maxsize=2)
-def _load_plate_network(path: Path) -> "tuple[PlateNetwork, str]":
-    """The network and the SHA-256 of its weights."""
+def _load_plate_networks(path: Path) -> "tuple[PlateNetwork, PlateJudge, str]":
+    """Both networks and the SHA-256 of their weights."""
     if find_spec("torch") is None or find_spec("safetensors") is None:
         raise MissingExtraError("torch", "detect", "finding number plates")
     if not path.is_file():
-        raise FarfieldError(f"{path}: expected the plate network's weights, found nothing. Install Farfield again.")
-    from farfield.privacy.plate_network import load_network
+        raise FarfieldError(f"{path}: expected the plate networks' weights, found nothing. Install Farfield again.")
+    from farfield.privacy.plate_network import load_networks
 
-    return load_network(path)
+    return load_networks(path)

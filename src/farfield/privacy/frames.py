@@ -18,6 +18,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.privacy.anonymising import AnonymizeOptions
 from farfield.privacy.covering import cover_boxes
+from farfield.privacy.detectors import find_boxes
 from farfield.privacy.image_boxes import PLATE, ImageBoxes
 
 VEHICLE_GROWTH = 1.2
@@ -57,7 +58,7 @@ def _cover_image(
     camera: Camera | None,
 ) -> _Picture:
     image = load()
-    boxes = ImageBoxes.concatenate([finder(image) for finder in options.finders()])
+    boxes = find_boxes(image, options.finders())
     if (boxes.kind == PLATE).any():
         vehicles_px = np.zeros((0, 4))
         if load_annotation is not None and camera is not None:

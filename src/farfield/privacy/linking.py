@@ -1,6 +1,7 @@
 """Link boxes over the pictures of a camera, so that a face missed once stays covered, and over the eyes of a pair.
 
-Over time: weak boxes count only on a track that has a strong one. Gaps are bridged, both ends are prolonged: a detector
+Over time: weak boxes count only on a track that has a strong one, and what is a plate in one picture of many is none.
+Gaps are bridged, both ends are prolonged: a detector
 finds a face late and loses it early. Where the picture suddenly shows something else, all tracks end.
 
 Over the eyes: what is covered in one picture of a stereo pair, or one half of a picture that holds both eyes, is
@@ -16,12 +17,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.optimize import linear_sum_assignment
 
-from farfield.privacy.detectors import ImageFinder
-from farfield.privacy.image_boxes import ImageBoxes, pairwise_iou
+from farfield.privacy.detectors import ImageFinder, find_boxes
+from farfield.privacy.image_boxes import PLATE, ImageBoxes, pairwise_iou
 
 ORIGINS = ("found", "bridged", "extended")
 """How a covered box came about: detected, between two detections, or beyond the ends of a track."""
 
+MANY_PICTURES = 5
 _GREY_PARTS, _CUT_GREY, _CUT_S = 4, 28.0, 1e4
 _PARTNER_ROWS, _PARTNER_COLUMNS = 0.02, 0.25  # how far off a partner may lie, over the picture's height and width
 _PARTNER_CORRELATION, _PARTNER_IOU = 0.6, 0.2
@@ -41,6 +43,8 @@ class LinkSettings:
         extend_s: How long both ends are prolonged.
         growth: Share by which a prolonged box grows a picture.
         iou: Overlap from which two boxes may be one object.
+        plate_sightings: In how many pictures a plate must be detected, where :data:`MANY_PICTURES` or more lie within
+            half of ``gap_s`` of it: a plate stays on its vehicle, what shines for a moment does not.
     """
 
     strong: float = 0.3
@@ -48,6 +52,7 @@ class LinkSettings:
     extend_s: float = 0.3
     growth: float = 0.05
     iou: float = 0.3
+    plate_sightings: int = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +75,7 @@ class PictureFindings:
         bands = np.array_split(image.mean(axis=2), _GREY_PARTS)
         parts = [part for band in bands for part in np.array_split(band, _GREY_PARTS, axis=1)]
         greys = [float(part.mean()) for part in parts if part.size]
-        boxes = ImageBoxes.concatenate([finder(image) for finder in finders])
-        return cls((image.shape[1], image.shape[0]), np.array(greys).round(), boxes)
+        return cls((image.shape[1], image.shape[0]), np.array(greys).round(), find_boxes(image, finders))
 
     @classmethod
     def from_json(cls, entry: Mapping[str, Any]) -> "PictureFindings":
@@ -156,6 +160,14 @@ class _BoxTrack:
         step_s = times_s[self.pictures[other]] - times_s[self.pictures[one]]
         return (self.boxes[other] - self.boxes[one]) / max(float(step_s), 1e-6)
 
+    def counts(self, times_s: _Times, linking: LinkSettings) -> bool:
+        """Whether it is covered: one strong box, and of a plate several boxes where there are many pictures."""
+        if max(self.scores) < linking.strong:
+            return False
+        first_s, last_s = times_s[self.pictures[0]] - linking.gap_s / 2, times_s[self.pictures[-1]] + linking.gap_s / 2
+        near = int(((times_s >= first_s) & (times_s <= last_s)).sum())
+        return self.kind != PLATE or near < MANY_PICTURES or len(self.pictures) >= linking.plate_sightings
+
     def predict(self, times_s: _Times, picture: int) -> _Box:
         """The box at constant velocity."""
         return self.boxes[-1] + self.velocity(times_s) * (times_s[picture] - times_s[self.pictures[-1]])
@@ -171,7 +183,7 @@ def link_boxes(boxes: Sequence[ImageBoxes], times_s: _Times, linking: LinkSettin
     """
     linking = linking or LinkSettings()
     # 1. Tracks by assignment, picture after picture; weak boxes count only on a track with a strong one.
-    tracks = [track for track in _build_tracks(boxes, times_s, linking) if max(track.scores) >= linking.strong]
+    tracks = [track for track in _build_tracks(boxes, times_s, linking) if track.counts(times_s, linking)]
     rows: list[list[tuple[int, str, _TrackBox]]] = [[] for _ in boxes]
     for number, track in enumerate(tracks):
         # 2. Bridge the gaps. 3. Prolong the start and the end.

@@ -104,8 +104,9 @@ class IndexedBag:
         order = np.argsort(times, kind="stable")
         message = self.bag.at(topic.name, int(log[0]))
         repeat = np.arange(len(log)) - first_of_equal
-        rows = np.unique(np.linspace(0, len(log) - 1, _LOOKED_AT).astype(int)) if topic.kind == CLOUD else []
-        samples = [] if not len(rows) else [self._columns(topic, int(log[0]), 0)]
+        looked_at = np.unique(np.linspace(0, len(log) - 1, _LOOKED_AT).astype(int)).tolist()
+        rows: list[int] = looked_at if topic.kind == CLOUD else []
+        samples = [] if not rows else [self._columns(topic, int(log[0]), 0)]
         for row in rows[1:]:
             with suppress(FarfieldError):  # a damaged one is reported when it is read
                 samples.append(self._columns(topic, int(log[row]), int(repeat[row])))

@@ -292,7 +292,7 @@ def _blank(annotation: Annotation, count: int) -> Annotation:
     return Annotation(
         boxes=boxes,
         visibility=[_DEFAULT_VISIBILITY] * count if annotation.visibility is not None else None,
-        original_label=[""] * count,
+        original_label=["unknown"] * count,
         extent=annotation.extent,
         unboxed=annotation.unboxed,
         region=annotation.region,

@@ -244,7 +244,7 @@ def constants(grid: AnchorGrid, device: torch.device) -> dict[str, Any]:
     kinds = [(float(z), *map(float, size)) for z, size in zip(grid.z_m, grid.sizes_m, strict=True)]
     place_m = (*map(float, grid.step_m), *map(float, grid.first_m))
     return {
-        "place": constant((*place_m, math.pi, *map(math.log, SIZE_RATIOS), DIRECTION_OFFSET_RAD, _NEARLY_ONE), device),
+        "grid": constant((*place_m, math.pi, *map(math.log, SIZE_RATIOS), DIRECTION_OFFSET_RAD, _NEARLY_ONE), device),
         "kinds": constant(tuple(kinds), device),
         "headings": constant(tuple(map(float, grid.headings_rad)), device),
         "per_cell": grid.per_cell,

@@ -95,6 +95,8 @@ def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> Tenso
     start = (length.cumsum(0) - length).int()
     chosen = torch.empty(len(lengths), count, dtype=torch.long, device=points.device)
     longest = max(lengths)
+    if longest == 0:
+        return chosen.new_empty(0)
     if longest <= _HELD:
         part = max(_LEAST, triton.next_power_of_2(longest)) // 4
         slot = torch.arange(4 * part, device=points.device)
