@@ -134,7 +134,7 @@ def test_e2_an_identity_of_two_classes(base: Path, capsys: Capsys) -> None:
 
 def test_e3_an_identity_that_jumps(base: Path, capsys: Capsys) -> None:
     (base / "labels.csv").write_text(table([row(0), row(1), row(2, x=112), row(3, x=113)]))
-    says(findings(capsys, base), "track 3", "0002", "99 m")
+    says(findings(capsys, base), "track 3", "0002", "100 m")
 
 
 def test_e4_a_heading_that_flips(base: Path, capsys: Capsys) -> None:
