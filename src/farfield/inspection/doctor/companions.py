@@ -17,6 +17,7 @@ def check_companions(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]
     yield from _equal_sweeps(survey)
     yield from _times_of_some(survey)
     yield from _cameras(survey)
+    yield from _poses(survey)
     yield from _unused_mapping(survey)
 
 
@@ -79,6 +80,17 @@ def _cameras(survey: Survey) -> Iterator[Finding]:
                 f"{width} wide: is it in millimetres?",
                 fix="Give it in pixels: millimetres times the image's width over the sensor's.",
             )
+
+
+def _poses(survey: Survey) -> Iterator[Finding]:
+    try:
+        issues = {drive.name: drive.odd_poses() for drive in survey.dataset.drives()}
+    except (FarfieldError, OSError, ValueError):
+        return  # the survey has reported it
+    for name, sentences in issues.items():
+        for sentence in sentences:
+            fix = "Sweeps, tracks and velocities in the world are wrong there: mend the poses, or give others (poses=)."
+            yield Finding(severity="warn", topic="poses", what=sentence, where=name, fix=fix)
 
 
 def _unused_mapping(survey: Survey) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ from farfield.datasets.folder import Folder
 from farfield.datasets.unread import unread_files
 from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.survey import Finding, Survey, counted
-from farfield.sync.stamps import StreamStats, health
+from farfield.sync.stamps import StreamStats, clock_offset_note, health
 
 
 def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -259,6 +259,8 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
     if breaks and name == FRAMES:
         drive = max(breaks, key=lambda key: breaks[key])
         text = f"a break of {breaks[drive] / 1e9:.1f} s within a drive; {counted(len(breaks), 'drive')} with one"
+        note = clock_offset_note((breaks[drive] - (by[drive].period_ns or 0)) / 1e9)
+        text += f". {note}" if note else ""
         fix = "What stands before and after belongs to two drives: sweeps and tracks across it are wrong."
         yield Finding(severity="warn", topic="stamps", what=text, where=drive, fix=fix)
 
