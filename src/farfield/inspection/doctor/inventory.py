@@ -11,6 +11,7 @@ from jaxtyping import Int64
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.folder import Folder
 from farfield.datasets.unread import unread_files
+from farfield.files.boxes_csv import zeros_note
 from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.survey import Finding, Survey, counted
 from farfield.sync.stamps import StreamStats, clock_offset_note, health
@@ -115,7 +116,8 @@ def _stray_labels(survey: Survey) -> Iterator[Finding]:
             topic="labels",
             what=f"{len(strays)} annotations belong to no cloud",
             where=strays[0],
-            fix=f"Name them like the clouds, such as {reader.frame_ids[0]}.",
+            fix=f"Name them like the clouds, such as {reader.frame_ids[0]}. "
+            f"{zeros_note([stray.rpartition(' ')[2] for stray in strays], reader.frame_ids)}".rstrip(),
         )
 
 
