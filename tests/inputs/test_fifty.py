@@ -132,6 +132,11 @@ def test_b4_a_least_score_in_per_cent(predictions: Path, tmp_path: Path, capsys:
     says(run(capsys, "track", predictions, *words)[1], "least-score", "0.9")
 
 
+def test_b4_a_least_track_score_in_per_cent(predictions: Path, tmp_path: Path, capsys: Capsys) -> None:
+    words = ("--least-track-score", "30", "--out", str(tmp_path / "tracks.csv"))
+    says(run(capsys, "track", predictions, *words)[1], "least-track-score", "0.9")
+
+
 def test_b5_a_class_twice_in_the_mapping(base: Path, capsys: Capsys) -> None:
     (base / "mapping.yaml").write_text("classes:\n  Auto: vehicle\n  LKW: large_vehicle\n  Auto: pedestrian\n")
     refused(run(capsys, "doctor", base), "mapping.yaml", "Auto", "twice")

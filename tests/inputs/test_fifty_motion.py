@@ -100,6 +100,14 @@ def test_d5_w_first(base: Path, predictions: Path, tmp_path: Path, capsys: Capsy
     says(run(capsys, "track", in_drive(predictions), *words)[1], "upside down")
 
 
+def test_d4_underscores_in_poses(base: Path) -> None:
+    """A brother of C5."""
+    path = poses(base)
+    path.write_text(path.read_text().replace(",2,0,0,", ",2_0,0,0,"))
+    with pytest.raises(FarfieldError, match=r"(?s)line 4.*2_0"):
+        _ = open_dataset(base, poses=path)[1].world_T_frame
+
+
 def test_d6_a_jump(base: Path, predictions: Path, tmp_path: Path, capsys: Capsys) -> None:
     words = ("--data", base, "--poses", poses(base, x_m=(0, 1, 1002, 3)), "--out", tmp_path / "tracks.csv")
     says(run(capsys, "track", in_drive(predictions), *words)[1], "poses", "0002", "jump")

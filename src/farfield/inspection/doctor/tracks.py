@@ -63,8 +63,8 @@ def _steps(survey: Survey) -> Iterator[_TrackStep]:
                 continue
             frames, both = (before[0], frame), ((before[1], before[2]), (boxes, row))
             centres_m = np.stack([part.centre_m[at] for part, at in both]).astype(np.float64)
-            poses = [one.world_T_frame for one in frames]
-            if poses[0] is not None and poses[1] is not None:
+            poses = [one.world_T_frame for one in frames if one.world_T_frame is not None]
+            if len(poses) == 2:
                 centres_m = np.concatenate(
                     [transform_points(pose, centre[None]) for pose, centre in zip(poses, centres_m, strict=True)]
                 )
