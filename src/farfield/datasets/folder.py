@@ -36,6 +36,7 @@ from farfield.files.images import read_image
 from farfield.files.json_text import parse_json
 from farfield.files.point_times import PointTimes
 from farfield.files.suffixes import any_case, existing
+from farfield.files.yaml_text import plain_yaml
 from farfield.frame import Annotation, Boxes, Camera, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
 
@@ -398,7 +399,7 @@ def read_class_mapping(path: Path | str) -> Mapping[str, str]:
         ConfigError: If it cannot be read, is no YAML, or has another key.
     """
     try:
-        content = yaml.safe_load(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
+        content = plain_yaml(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
         return _Classes.model_validate({} if content is None else content).classes
     except ValidationError as error:
         fix = "An own folder's mapping has one key, such as classes: {Auto: vehicle}."

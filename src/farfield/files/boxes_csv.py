@@ -253,7 +253,7 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
     if not text and name in (*_OPTIONAL, *_VELOCITY):
         return -1.0 if name in _COUNTS else math.nan
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
