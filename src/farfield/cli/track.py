@@ -1,5 +1,6 @@
 """``farfield track``: give detections identities over time."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -75,7 +76,7 @@ def run(
     from farfield.metrics.box_files import read_predictions
     from farfield.tracking import join_settings, join_tracks, track, with_options
     from farfield.tracking import preset as preset_of
-    from farfield.tracking.offline import smooth_tracks, with_track_score
+    from farfield.tracking.offline import smooth_tracks, track_scores, with_track_score
     from farfield.tracking.timeline import with_drives
     from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 
@@ -111,7 +112,14 @@ def run(
     if smooth:
         tracks = smooth_tracks(tracks, step_s=settings.step_s)
     if least_track_score is not None:
+        all_scores = track_scores(tracks).values()
         tracks = with_track_score(tracks, least_track_score)
+        if all_scores and max(all_scores) < least_track_score:
+            print(
+                f"warning: no track has a mean score of --least-track-score {least_track_score:g}; the highest is "
+                f"{max(all_scores):g}",
+                file=sys.stderr,
+            )
     if kind == "kitti-tracking":
         write_kitti_tracks(out, tracks)
     elif kind == "nuscenes":

@@ -15,12 +15,12 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.frame_maps import Earlier
 from farfield.errors import ConfigError, plain
 from farfield.files.atomic import read_bytes
+from farfield.files.yaml_text import plain_yaml
 from farfield.frame import Annotation, Boxes, Frame
 from farfield.vocabulary.classes import normalised_class
 
 MAPPING_NAME = "mapping.yaml"
 _MAX_MAPPING_BYTES = 1 << 20
-_MOST_GROUPS = 10_000
 
 
 class _Classes(BaseModel):
@@ -38,7 +38,7 @@ def read_class_mapping(path: Path | str) -> Mapping[str, str]:
     try:
         classes = _Classes.model_validate(_content(path)).classes
     except ValidationError as error:
-        fix = "A mapping of classes has one key, such as classes: {Auto: vehicle}; numbers, No and Yes need quotes."
+        fix = "A mapping of classes has one key, such as classes: {Auto: vehicle}."
         raise ConfigError(f"{path}: {plain(error)}. {fix}") from error
     return _in_one_form(path, classes)
 
@@ -64,23 +64,10 @@ def maps_classes(path: Path | str) -> bool:
 def _content(path: Path | str) -> Any:
     try:
         text = read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8")
-        _check_keys(yaml.compose(text, yaml.SafeLoader), path)
-        content = yaml.safe_load(text)
+        content = plain_yaml(text)
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
     return {} if content is None else content
-
-
-def _check_keys(node: yaml.Node | None, path: Path | str) -> None:
-    """Refuse a key that stands twice in one group: YAML would take the last of them in silence."""
-    groups = [node]
-    for group in groups:
-        if isinstance(group, yaml.MappingNode) and len(groups) < _MOST_GROUPS:
-            keys = [key.value for key, _ in group.value if isinstance(key, yaml.ScalarNode)]
-            twice = next((key for index, key in enumerate(keys) if key in keys[:index]), None)
-            if twice is not None:
-                raise ConfigError(f"{path}: expected each key once, got {twice!r} twice. Remove one of them")
-            groups += [value for _, value in group.value]
 
 
 def renamed(annotation: Annotation, classes: Mapping[str, str]) -> Annotation:

@@ -204,7 +204,6 @@ def _work(
 
 def _to_cache(dataset: Dataset, overwrite: bool, bulk: JobOptions) -> Outcome:
     reader = dataset.unwrapped
-    sources: list[tuple[Path, Path, int | None]]
     if isinstance(reader, Cirrus):
         columns, delimiter = reader.mapping.xyz.columns, reader.mapping.xyz.delimiter
         sources: list[tuple[Path, Path, int | None]] = [

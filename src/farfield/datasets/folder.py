@@ -31,9 +31,10 @@ from farfield.datasets.class_mapping import MAPPING_NAME, read_class_mapping, re
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.errors import DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
-from farfield.files.boxes_csv import read_boxes_csv
+from farfield.files.boxes_csv import read_boxes_csv, zeros_note
 from farfield.files.cuboids import check_yaw
 from farfield.files.images import read_image
+from farfield.files.json_text import parse_json
 from farfield.files.point_times import PointTimes
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Constant, Frame, Lazy, Sensor, camera_sensor
@@ -77,7 +78,7 @@ def read_boxes(path: Path | str) -> Boxes:
     """
     data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
-        entries = _BoxFile.model_validate_json(data).boxes
+        entries = _BoxFile.model_validate(parse_json(data, path)).boxes
     except ValidationError as error:
         _refuse_labelcloud(path, data)
         raise FileFormatError(path, where="keys", expected="boxes", got=plain(error)) from error
@@ -282,7 +283,8 @@ class Folder(Dataset):
         if self._table and not set(self._table) & set(self.frame_ids):
             raise DatasetError(
                 f"{self.table_path}: expected boxes of the clouds beside it, such as frame {self.frame_ids[0]!r}; its "
-                f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files."
+                f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files. "
+                f"{zeros_note(self._table, self.frame_ids)}".rstrip()
             )
         cloud_stems, stems = set(self.frame_ids), [self._stems(folder) for folder in _BOX_FOLDERS]
         for row, folder in enumerate(_BOX_FOLDERS):

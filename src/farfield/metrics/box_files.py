@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from farfield.errors import ConfigError, FileFormatError
-from farfield.files.boxes_csv import BoxRows, read_boxes_csv
+from farfield.files.boxes_csv import BoxRows, read_boxes_csv, zeros_note
 from farfield.files.coordinates import read_coordinates
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
 from farfield.files.nuscenes import read_results_in
@@ -305,12 +305,15 @@ def _add_empty_frames(predicted: dict[Key, Boxes], annotated: dict[Key, Boxes], 
     if added and len(added) == len(predicted) and any(len(boxes) for boxes in annotated.values()):
         raise ConfigError(
             f"expected predictions and labels to share frames, got none in common: predictions hold {added[0]}, "
-            f"labels {next(iter(annotated))}. Frame names must be the same text in both."
+            f"labels {next(iter(annotated))}. Frame names must be the same text in both. "
+            f"{zeros_note((frame for _, frame in predicted), (frame for _, frame in annotated))}".rstrip()
         )
+    zeros = zeros_note([frame for _, frame in added], [frame for _, frame in annotated])
     for key in added:
         annotated[key] = Boxes.empty()
     if added:
-        notes.append(f"{len(added)} frames have predictions but no line of labels; they count as annotated empty")
+        note = f"{len(added)} frames have predictions but no line of labels; they count as annotated empty"
+        notes.append(f"{note}. {zeros}" if zeros else note)
 
 
 def _groups(*columns: Shaped[np.ndarray, " n"]) -> list[tuple[tuple[str, ...], np.ndarray]]:

@@ -12,9 +12,10 @@ from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.folder import Folder
 from farfield.datasets.unread import unread_files
 from farfield.errors import FarfieldError
+from farfield.files.boxes_csv import zeros_note
 from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.survey import Finding, Survey, counted
-from farfield.sync.stamps import StreamStats, health
+from farfield.sync.stamps import StreamStats, clock_offset_note, health
 
 
 def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -117,7 +118,8 @@ def _stray_labels(survey: Survey) -> Iterator[Finding]:
             topic="labels",
             what=f"{len(strays)} annotations belong to no cloud",
             where=strays[0],
-            fix=f"Name them like the clouds, such as {reader.frame_ids[0]}.",
+            fix=f"Name them like the clouds, such as {reader.frame_ids[0]}. "
+            f"{zeros_note([stray.rpartition(' ')[2] for stray in strays], reader.frame_ids)}".rstrip(),
         )
 
 
@@ -271,6 +273,8 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
     if breaks and name == FRAMES:
         drive = max(breaks, key=lambda key: breaks[key])
         text = f"a break of {breaks[drive] / 1e9:.1f} s within a drive; {counted(len(breaks), 'drive')} with one"
+        note = clock_offset_note((breaks[drive] - (by[drive].period_ns or 0)) / 1e9)
+        text += f". {note}" if note else ""
         fix = "What stands before and after belongs to two drives: sweeps and tracks across it are wrong."
         yield Finding(severity="warn", topic="stamps", what=text, where=drive, fix=fix)
 
