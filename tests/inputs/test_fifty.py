@@ -231,9 +231,6 @@ def test_c9_degrees(base: Path, predictions: Path, capsys: Capsys) -> None:
     says(score(capsys, predictions, base / "labels.csv")[1], "degrees")
 
 
-@pytest.mark.xfail(
-    reason="an own folder's table wraps headings without a look; its reader is changed elsewhere", strict=False
-)
 def test_c9_degrees_in_a_folder(base: Path, capsys: Capsys) -> None:
     """A brother: the same table where no score is computed."""
     (base / "labels.csv").write_text(table([row(number, yaw=str(90 * number)) for number in range(4)]))
