@@ -5,6 +5,7 @@ import io
 import json
 import math
 import pickle
+import re
 import zlib
 from collections.abc import Callable, Mapping
 from fractions import Fraction
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from farfield.datasets.class_mapping import read_class_mapping
 from farfield.datasets.kradar import texts
 from farfield.datasets.kradar.index import KRadarFiles
 from farfield.datasets.kradar.label_table import read_label_table
@@ -35,7 +37,7 @@ from farfield.files.sensor_messages import read_points
 from farfield.files.stamps import read_stamps, recognise_stamps
 from farfield.files.supervisely import parse_supervisely
 from farfield.files.sustechpoints import format_sustechpoints, parse_sustechpoints
-from farfield.files.tracklets import parse_tracklets
+from farfield.files.tracklets import parse_frame_list, parse_tracklets
 from farfield.files.videos import film_frames, read_film, write_film
 from farfield.frame import Boxes
 
@@ -416,11 +418,55 @@ def exchange_targets() -> Mapping[str, Parts]:
         "supervisely": (parse_supervisely, json.dumps(SUPERVISELY)),
     }
     found: dict[str, Parts] = {
-        name: (".json", partial(_read, parse), (text.encode(),), sound, (DEEP,))
+        name: (".json", partial(_read, parse), (text.encode(),), sound, (DEEP, *wrong_boxes(name)))
         for name, (parse, text) in parts.items()
     }
-    hostile = (BOMB.encode(), FETCH.encode(), b"<a>" * 100_000)
-    return found | {"tracklets": (".xml", partial(_read, parse_tracklets), (XML.encode(),), sound, hostile)}
+    hostile = (BOMB.encode(), FETCH.encode(), b"<a>" * 100_000, *wrong_boxes("tracklets"))
+    mapping = (b"classes: {Auto: vehicle, 'Cone 1': animal}\n", "classes: {Gef\u00e4hrt: trailer}\n".encode())
+    return found | {
+        "tracklets": (".xml", partial(_read, parse_tracklets), (XML.encode(),), sound, hostile),
+        "frame lists": (".txt", partial(_read, parse_frame_list), LISTED, one_sweep_a_number, TWICE_LISTED),
+        "class mappings": (".yaml", read_class_mapping, mapping, printable, WRONG_MAPPINGS),
+    }
+
+
+def wrong_boxes(name: str) -> tuple[bytes, ...]:
+    """Files that are whole and wrong, which must be refused: a yaw in degrees, and a box that lies on its side."""
+    if name == "tracklets":
+        return XML.replace("<rz>0.5", "<rz>90").encode(), XML.replace("<rx>0", "<rx>1.57").encode()
+    if name == "supervisely":
+        turns = [{"x": 0, "y": 0, "z": 90}, {"x": 0, "y": 1.57, "z": 0}]
+        figures = [{**SUPERVISELY["figures"][0], "geometry": GEOMETRY | {"rotation": turn}} for turn in turns]
+        return tuple(json.dumps(SUPERVISELY | {"figures": [figure]}).encode() for figure in figures)
+    if name == "sustechpoints":
+        text = format_sustechpoints(CARS)
+        return text.replace('"z": 0.52', '"z": 90').encode(), text.replace('"y": 0,', '"y": 1.57,').encode()
+    if name == "datumaro":
+        text = format_datumaro(CARS, ["a", "b"])
+        items = json.loads(text)["items"]
+        doubled = json.dumps({**json.loads(text), "items": items + items}).encode()
+        return re.sub(r"0\.52\b", "90", text).encode(), doubled
+    return ()
+
+
+LISTED = (b"0 0000000005\n1 0000000006\n", b"\xef\xbb\xbf# sweeps\r\n7\ta b\r\n")
+TWICE_LISTED = (b"0 a\n0 b\n", b"0 a\n1 a\n", b"a 0\n")
+WRONG_MAPPINGS = (
+    b"classes: {Car: vehicle, Car: animal}\n",
+    b"classes: {0: vehicle}\n",
+    b"class: {Auto: vehicle}\n",
+    b'classes: {Auto: "a\\nb"}\n',
+)
+
+
+def one_sweep_a_number(names: Mapping[int, str]) -> bool:
+    """No number and no sweep stands twice."""
+    return len(set(names.values())) == len(names) and all(number >= 0 and name for number, name in names.items())
+
+
+def printable(classes: Mapping[str, str]) -> bool:
+    """Every class is a name on one line."""
+    return all(name and name.isprintable() for name in classes.values())
 
 
 def _read(parse: Callable[[bytes, Path], Any], path: Path) -> Any:

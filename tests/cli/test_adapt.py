@@ -59,7 +59,8 @@ def stop(taken: list[dict[str, Any]], detector: str, data: Any, **given: Any) ->
 
 
 def opened(path: Path, **_: Any) -> Any:
-    return SimpleNamespace(root=Path(path), unwrapped=SimpleNamespace(notes=()))
+    reader = SimpleNamespace(notes=(), assumptions=())
+    return SimpleNamespace(root=Path(path), unwrapped=reader)
 
 
 def test_its_examples_are_what_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:

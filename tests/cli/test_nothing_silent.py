@@ -90,9 +90,9 @@ class TestClasses:
         assert "relabel=Auto:vehicle" in finding.fix
 
     def test_the_doctor_guesses(self, tmp_path: Path) -> None:
-        report = examine(open_dataset(own(tmp_path / "own", "Car")))
+        report = examine(open_dataset(own(tmp_path / "own", "Vehicel")))
         (finding,) = [finding for finding in report.findings if finding.topic == "class names"]
-        assert "did you mean Car: vehicle?" in finding.what
+        assert "did you mean Vehicel: vehicle?" in finding.what
         assert closest_class("LKW", ["vehicle"]) == ""
 
     def test_training_without_one_box_stops(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

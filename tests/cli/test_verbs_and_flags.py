@@ -44,10 +44,8 @@ OPENS = {
     "doctor", "stats", "show", "view", "annotate", "convert", "adapt", "predict", "evaluate", "odometry", "depth",
     "compare", "radar", "calibrate", "sync", "track", "anonymize", "report",
 }  # fmt: skip
-NO_COLUMNS = {
-    "compare": "of two data sets: --columns-a, --columns-b",
+NO_READING = {
     "sync": "reads stamps",
-    "track": "reads boxes",
     "anonymize": "reads pictures",
 }
 NO_CLOUDS = {
@@ -74,9 +72,12 @@ def lacking(flag: str, among: set[str]) -> set[str]:
     [
         ("--dry-run", set(VERBS), NO_DRY_RUN),
         ("--out", set(VERBS), NO_OUT),
-        ("--columns", OPENS, NO_COLUMNS),
-        ("--intensity-scale", OPENS, NO_COLUMNS),
-        ("--point-times", OPENS, NO_COLUMNS),
+        ("--columns", OPENS, NO_READING),
+        ("--intensity-scale", OPENS, NO_READING),
+        ("--point-times", OPENS, NO_READING),
+        ("--mapping", OPENS, NO_READING),
+        ("--tracklets", OPENS, NO_READING),
+        ("--label-axes", OPENS, NO_READING),
         ("--cloud", OPENS, NO_CLOUDS),
         ("--clouds", OPENS, NO_CLOUDS),
         ("--json", RESULTS, {}),

@@ -153,3 +153,54 @@ def test_supervisely_is_edited_where_it_stands(tmp_path: Path) -> None:
     assert first == file.with_name("a.pcd.json")
     fresh = labels.render(None, first, {data.keys[0]: [bus]})
     assert labels.parse(fresh, first, [data.keys[0]])[data.keys[0]][0].box == bus.box
+
+
+def datumaro(root: Path, stems: tuple[str, ...], items: list[dict[str, object]]) -> Path:
+    """A task in Datumaro's form; item number n has a car n m ahead."""
+    clouds(root / "task" / "point_clouds", stems)
+    for number, item in enumerate(items):
+        box = {"position": [number, 0, 0], "rotation": [0, 0, 0], "scale": [4.4, 1.8, 1.5]}
+        item["annotations"] = [{"id": 0, "type": "cuboid_3d", "label_id": 0, "attributes": {}, **box}]
+    path = root / "task" / "annotations" / "default.json"
+    path.parent.mkdir()
+    path.write_text(json.dumps({"categories": {"label": {"labels": [{"name": "Car"}]}}, "items": items}))
+    return root
+
+
+STEMS = ("000005", "000006", "000007")
+
+
+@pytest.mark.parametrize(
+    "items",
+    [
+        [{"id": stem, "attr": {"frame": row}} for row, stem in enumerate(STEMS)],
+        [{"id": str(row), "point_cloud": {"path": f"clouds/{stem}.PCD"}} for row, stem in enumerate(STEMS)],
+        [{"id": str(int(stem))} for stem in STEMS],
+    ],
+)
+def test_items_stand_on_the_cloud_that_they_name(tmp_path: Path, items: list[dict[str, object]]) -> None:
+    data = open_dataset(datumaro(tmp_path, STEMS, items))
+    assert [frame.boxes.centre_m[:, 0].tolist() for frame in data] == [[0.0], [1.0], [2.0]]
+
+
+@pytest.mark.parametrize("names", [("0", "1", "2"), ("000005", "000006", "000008"), ("5", "000005", "7")])
+@pytest.mark.parametrize("stems", [STEMS, ("a", "b", "c")])
+def test_items_of_no_cloud_are_refused(tmp_path: Path, names: tuple[str, ...], stems: tuple[str, ...]) -> None:
+    data = open_dataset(datumaro(tmp_path, stems, [{"id": name} for name in names]))
+    with pytest.raises(DatasetError, match=r"default\.json: expected boxes of the clouds"):
+        data[0].boxes  # noqa: B018
+
+
+def test_supervisely_labels_of_no_cloud_are_refused(tmp_path: Path) -> None:
+    clouds(tmp_path / "ds0" / "pointcloud", ("a", "b"))
+    (tmp_path / "ds0" / "ann").mkdir()
+    (tmp_path / "ds0" / "ann" / "b.json").write_text(json.dumps(SUPERVISELY))
+    with pytest.raises(DatasetError, match=r"such as a\.pcd\.json, found b\.json"):
+        open_dataset(tmp_path)
+
+
+def test_two_clouds_of_one_name_are_refused(tmp_path: Path) -> None:
+    root = datumaro(tmp_path, STEMS, [{"id": "000005"}])
+    clouds(root / "task" / "point_clouds" / "more", ("000005",))
+    with pytest.raises(DatasetError, match="clouds of different names"):
+        open_dataset(root)

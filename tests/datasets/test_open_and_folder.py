@@ -183,5 +183,5 @@ def test_class_names_come_into_the_vocabulary():
     assert normalised_class("Wheeled Pedestrian", {}) == "wheeled_pedestrian"
     assert normalised_class("LARGE-VEHICLE", {}) == "large_vehicle"
     assert normalised_class("pkw", {"pkw": "vehicle"}) == "vehicle"
-    assert normalised_class("submarine", {}) == "unknown"
+    assert normalised_class("Submarine", {}) == "Submarine"
     assert set(KITTI_FROM_CIRRUS) == set(CIRRUS_CLASSES)

@@ -12,7 +12,6 @@ from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import parse_boxes_csv
 from farfield.frame import Boxes
 from farfield.inspection.doctor import DoctorReport, examine
-from farfield.metrics.box_files import read
 
 CAR = Boxes(
     centre_m=np.array([[9.0, 2.0, -1.0]]), size_m=np.array([[4.2, 1.9, 1.6]]), yaw_rad=np.zeros(1), label=["vehicle"]
@@ -125,11 +124,3 @@ def test_real_cameras_and_clouds_stand_upright(shared_real: Path) -> None:
         said = str(examine(open_dataset(shared_real / name), max_clouds=2))
         assert "lies on its side" not in said, name
         assert "z seems to point down" not in said, name
-
-
-def test_kittis_results_without_places_in_the_image_are_said(tmp_path: Path) -> None:
-    for side, pixels, score in (("labels", "600 150 700 250", ""), ("results", "-1 -1 -1 -1", " 0.9")):
-        (tmp_path / side).mkdir()
-        (tmp_path / side / "0.txt").write_text(f"Car 0 0 0 {pixels} 1.6 1.9 4.5 3 1.7 12 -1.57{score}\n")
-    notes = read(tmp_path / "results", tmp_path / "labels", format="kitti").notes
-    assert any("no 2D box" in note for note in notes)

@@ -25,7 +25,7 @@ READERS = (
     *("xyz", "pcd", "velodyne bin", "ffcloud", "images", "upright images", "depth png"),
     *("kitti calib", "kitti label", "kitti tracking"),
     *("kitti detections", "boxes csv", "cirrus json"),
-    *("openlabel", "sustechpoints", "datumaro", "supervisely", "tracklets"),
+    *("openlabel", "sustechpoints", "datumaro", "supervisely", "tracklets", "frame lists", "class mappings"),
     *("mat", "mat in blocks", "npy"),
     *("kradar labels", "kradar times", "kradar description", "kradar calib", "kradar camera", "kradar odometry"),
     *("kradar gt_rel", "kradar gps", "kradar imu", "kradar local", "kradar split", "kradar record", "radar cells"),

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from farfield.datasets.labels import Value
 from farfield.errors import ConfigError, fault_of, plain
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.yaml_text import plain_yaml
 from farfield.vocabulary.classes import (
     CIRRUS_CLASSES,
     CIRRUS_FROM_ANY_KRADAR,
@@ -126,7 +127,7 @@ def load_schema(folder: Path, default: Schema) -> Schema:
         save_schema(folder, default)
         return default
     try:
-        return Schema.model_validate(yaml.safe_load(read_bytes(path, max_bytes=MAX_BYTES)))
+        return Schema.model_validate(plain_yaml(read_bytes(path, max_bytes=MAX_BYTES)))
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: expected YAML, got {plain(error)}") from error
     except ValidationError as error:

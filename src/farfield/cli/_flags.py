@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from farfield.cli._output import bar
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FarfieldError
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -18,60 +18,66 @@ if TYPE_CHECKING:
     from farfield.metrics import Protocol
 
 _UNNAMED = tyro.conf.arg(name="")
-PointTimes = Literal["auto", "s", "ms", "us", "ns", "none"]  # as in farfield.files.point_times, which waits
 """The fields of a group are flags without the group's name before them."""
+PointTimes = Literal["auto", "s", "ms", "us", "ns", "none"]  # as in farfield.files.point_times, which waits
+_UNSET = (None, (), "", "auto")
+_OPTION_OF = {"columns": "bin_columns"}
+_OF_CLOUDS = ("bin_columns", "intensity_scale", "point_times", "radars")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CloudFlags:
-    """How cloud files are read, where they do not say it and their numbers do not show it.
+class FileFlags:
+    """How a data set's files are read, where they do not say it and their numbers do not show it.
 
     Args:
+        mapping: Mapping YAML of the classes of data in any format, classes: {Auto: vehicle}; or of a Cirrus copy that
+            deviates from the documented layout.
         columns: Columns of .bin files; what the numbers themselves show unless given.
         intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
             given.
         point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
         radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
+        tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
+            beside the file, the writer's marks and the points in the boxes unless given.
+        label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
+            LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre).
     """
 
+    mapping: Path | None = None
     columns: int | None = None
     intensity_scale: float | None = None
     point_times: PointTimes = "auto"
     radars: tuple[str, ...] = ()
-
-    @property
-    def cloud_options(self) -> dict[str, Any]:
-        """Those of cloud files, as any reader of such takes them."""
-        options = {
-            "bin_columns": self.columns,
-            "intensity_scale": self.intensity_scale,
-            "point_times": None if self.point_times == "auto" else self.point_times,
-            "radars": self.radars or None,
-        }
-        return {name: value for name, value in options.items() if value is not None}
+    tracklets: Literal["kitti", "cvat", "datumaro"] | None = None
+    label_axes: Literal["camera", "lidar", "lidar-bottom"] | None = None
 
     @property
     def options(self) -> dict[str, Any]:
         """What :func:`farfield.open_dataset` takes of the flags that are set."""
-        return self.cloud_options
+        return {_OPTION_OF.get(name, name): value for name, value in vars(self).items() if value not in _UNSET}
+
+    @property
+    def cloud_options(self) -> dict[str, Any]:
+        """Those of cloud files, as any reader of such takes them."""
+        return {name: value for name, value in self.options.items() if name in _OF_CLOUDS}
 
     def open(self, path: Path, **options: Any) -> "Dataset":
-        """Open a data set; further options are those of :func:`farfield.open_dataset`, left out where empty."""
-        from farfield.datasets import open_dataset
+        """Open a data set; what its reader left out is a warning, what it assumed a note.
 
-        further = {name: value for name, value in options.items() if value}
-        opened = open_dataset(path, **self.options, **further)
-        for note in opened.unwrapped.notes:
-            print(f"warning: {note}", file=sys.stderr)
-        return opened
+        Args:
+            path: Its folder.
+            **options: Those of :func:`farfield.open_dataset`, left out where empty.
+        """
+        return _opened(path, self.options | {name: value for name, value in options.items() if value})
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReadingFlags(CloudFlags):
+class ReadingFlags(FileFlags):
     """How a data set's files are read.
 
     Args:
-        mapping: Mapping YAML of a Cirrus copy that deviates from the documented layout, or of an own folder's classes.
+        mapping: Mapping YAML of the classes of data in any format, classes: {Auto: vehicle}; or of a Cirrus copy that
+            deviates from the documented layout.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
         columns: Columns of .bin files; what the numbers themselves show unless given.
@@ -79,17 +85,65 @@ class ReadingFlags(CloudFlags):
             given.
         point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
         radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
+        tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
+            beside the file, the writer's marks and the points in the boxes unless given.
+        label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
+            LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre).
     """
 
-    mapping: Path | None = None
     labels: str | None = None
     roots: tuple[Path, ...] = ()
 
-    @property
-    def options(self) -> dict[str, Any]:
-        """What :func:`farfield.open_dataset` takes of the flags that are set."""
-        options = {"mapping": self.mapping, "labels": self.labels, "roots": self.roots}
-        return {name: value for name, value in options.items() if value} | self.cloud_options
+    def open_both(self, paths: Sequence[Path], sides: "Sequence[ReadingFlags]") -> "list[Dataset]":
+        """Open data sets that are set side by side: a flag that one reader does not know counts for the others.
+
+        Args:
+            paths: Their folders.
+            sides: The flags of each alone, which win.
+
+        Raises:
+            ConfigError: If no reader knows a flag.
+        """
+        from farfield.datasets.formats import known_options
+
+        known_by_path = [known_options(path, self.options) for path in paths]
+        if any(all(name not in names for names in known_by_path) for name in self.options):
+            self.open(paths[0])  # its error names what the reader knows
+        return [
+            _opened(path, {name: value for name, value in self.options.items() if name in names} | side.options)
+            for path, side, names in zip(paths, sides, known_by_path, strict=True)
+        ]
+
+    def check_unused(self, what: str) -> None:
+        """Refuse flags that would read nothing.
+
+        Args:
+            what: What is lacking.
+
+        Raises:
+            ConfigError: If one is set.
+        """
+        flag = next((name.replace("_", "-") for name, value in vars(self).items() if value not in _UNSET), None)
+        if flag is not None:
+            raise ConfigError(f"--{flag}: expected {what}, whose files it says how to read")
+
+
+def _opened(path: Path, options: Mapping[str, Any]) -> "Dataset":
+    from farfield.datasets import open_dataset
+
+    data = open_dataset(path, **options)
+    for sentence in data.unwrapped.notes:
+        print(f"warning: {sentence}", file=sys.stderr)
+    for sentence in _assumptions(data):
+        print(f"note: {sentence}", file=sys.stderr)
+    return data
+
+
+def _assumptions(data: "Dataset") -> tuple[str, ...]:
+    try:
+        return data.unwrapped.assumptions
+    except FarfieldError:  # a damaged file: what reads it names it
+        return ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,13 +269,13 @@ class ScoringFlags:
 
 
 Reading = Annotated[ReadingFlags, _UNNAMED]
-Clouds = Annotated[CloudFlags, _UNNAMED]
+Files = Annotated[FileFlags, _UNNAMED]
 Jobs = Annotated[JobFlags, _UNNAMED]
 ShownBoxes = Annotated[BoxFlags, _UNNAMED]
 Scoring = Annotated[ScoringFlags, _UNNAMED]
 
 AS_THEY_ARE = ReadingFlags()
-BY_THE_NUMBERS = CloudFlags()
+AS_FILES_SAY = FileFlags()
 ALL_CORES = JobFlags()
 OWN_BOXES = BoxFlags()
 OWN_SCORING = ScoringFlags()

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, BY_THE_NUMBERS, Clouds, Jobs, names
+from farfield.cli._flags import ALL_CORES, AS_FILES_SAY, Files, Jobs, names
 from farfield.cli._output import bar, would_write
 from farfield.cli._training_report import BarReport, LineReport
 
@@ -21,7 +21,7 @@ def run(
     labels: Path | None = None,
     clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
     rotate_deg: float = 0.0,
-    reading: Clouds = BY_THE_NUMBERS,
+    reading: Files = AS_FILES_SAY,
     frames: int = 400,
     source_frames: int = 240,
     rounds: int = 2,
@@ -60,7 +60,7 @@ def run(
             learnt from do not count, so that DATA itself may be named.
         clouds: Clouds of the sweeps to learn from, separated by commas; the first that suits unless given.
         rotate_deg: Turn every sweep counter-clockwise about z; 180 looks backwards.
-        reading: How cloud files are read.
+        reading: How the files of the sweeps and of the labelled frames are read.
         frames: Sweeps to learn from at most, spread evenly; 0 takes all.
         source_frames: Source frames at most, spread evenly.
         rounds: Times that the teacher is renewed.

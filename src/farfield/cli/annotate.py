@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._flags import BY_THE_NUMBERS, Clouds, names
+from farfield.cli._flags import AS_THEY_ARE, Reading, names
 
 
 def run(
@@ -25,8 +25,7 @@ def run(
     protocol: str = "",
     threshold: float = 0.1,
     frame: str = "",
-    labels: str = "",
-    clouds: Clouds = BY_THE_NUMBERS,
+    reading: Reading = AS_THEY_ARE,
     edits: Path | None = None,
     port: int | None = None,
     browser: bool = True,
@@ -56,8 +55,7 @@ def run(
         protocol: By which predictions are matched with the truth; the data set's own unless given.
         threshold: Least score of a detector's boxes.
         frame: Frame to begin with: its number, or sequence/frame.
-        labels: Release of K-Radar's labels to edit: v2.1, v2.0, v1.1 or v1.0; the newest there is unless given.
-        clouds: How cloud files are read.
+        reading: How the data set's files are read.
         edits: Folder of the journal; .farfield-studio beside the labels unless given.
         port: Port to listen on; the first free one from 8877 on unless given.
         browser: Open the browser; never over SSH.
@@ -65,7 +63,7 @@ def run(
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 
-    opening = DatasetOpener(data, **clouds.options, labels=labels)
+    opening = DatasetOpener(data, **reading.options)
     settings = StudioSettings(
         mode="annotate",
         title=opening.title,

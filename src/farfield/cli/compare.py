@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, CloudFlags, Jobs, PointTimes, parse_pairs
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, PointTimes, Reading, ReadingFlags, parse_pairs
 from farfield.cli._output import read_json, write_json
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def run(
     focus_deg: float = -2.0,
     clouds: Annotated[str, tyro.conf.arg(aliases=["--cloud"])] = "",
     jobs: Jobs = ALL_CORES,
+    reading: Reading = AS_THEY_ARE,
     mapping_a: Path | None = None,
     mapping_b: Path | None = None,
     columns_a: int | None = None,
@@ -59,7 +60,8 @@ def run(
         clouds: Which cloud of A stands beside which of B, as A:B with commas between, such as gaussian:lidar; unless
             given those of one name, or where no name is in both the first beside the first.
         jobs: Who does the work.
-        mapping_a: Mapping YAML of a, if it is a Cirrus copy that deviates from the documented layout.
+        reading: How the files of both are read; what one reader does not know counts for the other.
+        mapping_a: Mapping YAML of a alone, of its classes or its layout.
         mapping_b: The same of b.
         columns_a: Columns of .bin files of a; what the numbers themselves show unless given.
         columns_b: The same of b.
@@ -82,9 +84,13 @@ def run(
     if not labels:
         raise ConfigError(f"--vehicle-labels: expected at least one class, got {vehicle_labels!r}")
     called = _names(names, (a, b))
-    reading_a = CloudFlags(columns=columns_a, intensity_scale=intensity_scale_a, point_times=point_times_a)
-    reading_b = CloudFlags(columns=columns_b, intensity_scale=intensity_scale_b, point_times=point_times_b)
-    opened = [reading_a.open(a, mapping=mapping_a), reading_b.open(b, mapping=mapping_b)]
+    reading_a = ReadingFlags(
+        mapping=mapping_a, columns=columns_a, intensity_scale=intensity_scale_a, point_times=point_times_a
+    )
+    reading_b = ReadingFlags(
+        mapping=mapping_b, columns=columns_b, intensity_scale=intensity_scale_b, point_times=point_times_b
+    )
+    opened = reading.open_both((a, b), (reading_a, reading_b))
     sides: Sequence[ComparedDataset] = [
         count_dataset(data, name, frames, jobs.options(name), vehicle_labels=labels, focus_deg=focus_deg)
         for data, name in zip(opened, called, strict=True)

@@ -66,9 +66,10 @@ def _read_settings(path: Path) -> dict[str, object]:
     import yaml
 
     from farfield.errors import ConfigError, plain
+    from farfield.files.yaml_text import plain_yaml
 
     try:
-        settings = yaml.safe_load(path.read_text(encoding="utf-8"))
+        settings = plain_yaml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(
             f"{path}: expected a YAML file with the detector's settings, found: {plain(error)}."

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._flags import ALL_CORES, BY_THE_NUMBERS, Clouds, JobFlags, Jobs
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, JobFlags, Jobs, Reading
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def run(
     frames: int = 0,
     reach_m: float = 100.0,
     rate_hz: float = 0.0,
-    reading: Clouds = BY_THE_NUMBERS,
+    reading: Reading = AS_THEY_ARE,
     jobs: Jobs = ALL_CORES,
 ) -> int:
     """Turn an evaluation or a training into one self-contained HTML page, or a drive of a data set into a film.
@@ -56,12 +56,13 @@ def run(
         frames: Only so many frames from its beginning; 0: all.
         reach_m: How far ahead the film's views from above show.
         rate_hz: Frames a second; 0 takes the drive's own.
-        reading: How the film's cloud files are read.
+        reading: How the files of the data set are read that a film shows.
         jobs: Who does the work.
     """
     if film is not None:
         boxes = None if predictions is None else (predictions, format)
         return _film(reading.open(evaluation), film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
+    reading.check_unused("--film, which shows a data set")
     from farfield.errors import ConfigError
     from farfield.evaluation.record import EVALUATION, Evaluation
     from farfield.experiments.course import course_of, is_run

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from farfield.cli._flags import OWN_SCORING, Scoring
+from farfield.cli._flags import AS_THEY_ARE, OWN_SCORING, Reading, Scoring
 from farfield.cli._output import OUTPUT, write_json
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def run(
     scoring: Scoring = OWN_SCORING,
     conditions: str | None = None,
     reference: str = "",
+    reading: Reading = AS_THEY_ARE,
     json: Path | None = None,
 ) -> int:
     """Score the boxes of any detector against annotated boxes, without a model.
@@ -62,6 +63,7 @@ def run(
         conditions: For kradar: a CSV with the columns sequence, road, time, weather; a K-Radar tree with its
             description.txt files; or the word published for the table of K-Radar's 58 sequences.
         reference: Coordinates of boxes whose files do not name them (column reference), such as radar.
+        reading: How the files of a data set in the place of the labels are read.
         json: Write the result as JSON into this file; - prints it instead of the tables.
     """
     from farfield.evaluation import read_detections, with_conditions
@@ -72,7 +74,7 @@ def run(
     if format != "boxes-csv" and chosen.default("region") == "window":
         settings.setdefault("region", "none")  # KITTI's ranges are a camera's
     detections = replace(
-        read_detections(predictions, labels, format=format, reference=reference),
+        read_detections(predictions, labels, format=format, reference=reference, **reading.options),
         detector=predictions.name,
         data=labels.name,
     )

@@ -1,11 +1,13 @@
 """``farfield track``: give detections identities over time."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
+from farfield.cli._flags import AS_THEY_ARE, Reading
 from farfield.cli._output import would_write
 
 
@@ -15,6 +17,7 @@ def run(
     out: Path,
     data: Path | None = None,
     poses: Path | None = None,
+    reading: Reading = AS_THEY_ARE,
     format: Literal["boxes-csv", "kitti-tracking", "nuscenes"] = "boxes-csv",
     to: Literal["same", "boxes-csv", "kitti-tracking", "nuscenes"] = "same",
     preset: Annotated[
@@ -48,6 +51,7 @@ def run(
         out: The file, for kitti-tracking the folder, to write.
         data: Data set that the detections were made on; frames are matched by sequence and frame.
         poses: Poses beside the data, as `farfield odometry` writes them; those of the data unless given.
+        reading: How the data set's files are read.
         format: Format of the detections; nuscenes is its result JSON, in the order of its samples' names.
         to: Format of the tracks: that of the detections unless given; nuscenes is its tracking JSON.
         preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default,
@@ -65,7 +69,6 @@ def run(
         picture: SVG, PNG or JPEG of the tracks' trails from above to write.
         dry_run: Say what would be written, and write nothing.
     """
-    from farfield.datasets import open_dataset
     from farfield.errors import ConfigError
     from farfield.evaluation import in_coordinates
     from farfield.figures.style import check_picture
@@ -73,7 +76,7 @@ def run(
     from farfield.metrics.box_files import read_predictions
     from farfield.tracking import join_settings, join_tracks, track, with_options
     from farfield.tracking import preset as preset_of
-    from farfield.tracking.offline import smooth_tracks, with_track_score
+    from farfield.tracking.offline import smooth_tracks, track_scores, with_track_score
     from farfield.tracking.timeline import with_drives
     from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 
@@ -87,6 +90,8 @@ def run(
         raise ConfigError(f"{out}: expected another name than that of the detections: they would be written over")
     if poses is not None and data is None:
         raise ConfigError("--poses: expected --data too, whose frames they place")
+    if data is None:
+        reading.check_unused("--data, the data set that the detections were made on")
     if picture is not None:
         check_picture(picture)
     preset = "offline" if smooth and preset == "default" else preset
@@ -94,7 +99,7 @@ def run(
     settings = with_options(preset_of(preset).changed(**changes), option)
     if data is not None:
         predictions = with_drives(
-            predictions, in_coordinates(open_dataset(data, poses=poses), predictions.reference).drives()
+            predictions, in_coordinates(reading.open(data, poses=poses), predictions.reference).drives()
         )
     if dry_run:
         would_write(
@@ -107,7 +112,14 @@ def run(
     if smooth:
         tracks = smooth_tracks(tracks, step_s=settings.step_s)
     if least_track_score is not None:
+        all_scores = track_scores(tracks).values()
         tracks = with_track_score(tracks, least_track_score)
+        if all_scores and max(all_scores) < least_track_score:
+            print(
+                f"warning: no track has a mean score of --least-track-score {least_track_score:g}; the highest is "
+                f"{max(all_scores):g}",
+                file=sys.stderr,
+            )
     if kind == "kitti-tracking":
         write_kitti_tracks(out, tracks)
     elif kind == "nuscenes":

@@ -5,7 +5,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._flags import BY_THE_NUMBERS, Clouds, names
+from farfield.cli._flags import AS_THEY_ARE, Reading, names
 
 
 def run(
@@ -17,8 +17,7 @@ def run(
     protocol: str = "",
     threshold: float = 0.1,
     frame: str = "",
-    labels: str = "",
-    clouds: Clouds = BY_THE_NUMBERS,
+    reading: Reading = AS_THEY_ARE,
     reference: str = "",
     html: Path | None = None,
     port: int | None = None,
@@ -44,8 +43,7 @@ def run(
         protocol: By which predictions are matched with the truth; the data set's own unless given.
         threshold: Least score of a detector's boxes.
         frame: Frame to begin with: its number, or sequence/frame; with --html several, comma-separated.
-        labels: Release of K-Radar's labels: v2.1, v2.0, v1.1 or v1.0; the newest there is unless given.
-        clouds: How cloud files are read.
+        reading: How the data set's files are read.
         reference: Coordinates in which to show: K-Radar's os2-64 (as it is) or radar.
         html: Write the frames into one HTML file that opens from disk, and end; at most 20 frames.
         port: Port to listen on; the first free one from 8877 on unless given.
@@ -54,7 +52,7 @@ def run(
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 
-    opening = DatasetOpener(data, **clouds.options, labels=labels, reference=reference)
+    opening = DatasetOpener(data, **reading.options, reference=reference)
     settings = StudioSettings(
         mode="view",
         title=opening.title,

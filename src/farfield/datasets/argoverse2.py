@@ -21,7 +21,7 @@ from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
-from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2
+from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2, normalised_class
 
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _TRANSLATION = ("tx_m", "ty_m", "tz_m")
@@ -162,7 +162,8 @@ class Argoverse2(Dataset):
 
     Args:
         root: One log, a folder of logs, or one with ``train``, ``val``, ``test``.
-        classes: ``"cirrus"`` translates categories (others become ``unknown``), ``"argoverse2"`` keeps them.
+        classes: ``"cirrus"`` translates categories (published ones that are none of ours become ``unknown``),
+            ``"argoverse2"`` keeps them.
 
     Raises:
         DatasetError: If there are neither sweeps nor annotations.
@@ -230,7 +231,7 @@ _ANNOTATIONS = ("annotations.feather", "annotations_with_ego.feather")
 
 def _annotation(path: Path, where: str, table: Table, classes: str) -> Annotation:
     original = tuple(str(name) for name in table["category"])
-    names = [CIRRUS_FROM_ARGOVERSE2.get(name, "unknown") for name in original] if classes == "cirrus" else original
+    names = [normalised_class(name, CIRRUS_FROM_ARGOVERSE2) for name in original] if classes == "cirrus" else original
     quaternion = np.column_stack([table[name] for name in _QUATERNION]).astype(np.float64)
     numbers = np.column_stack([table[name] for name in (*_SIZE, *_QUATERNION, *_TRANSLATION)])
     try:

@@ -127,6 +127,11 @@ class Dataset(ABC):
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` is read from."""
 
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What a reader took for granted or decided from the data: a sentence each, with the flag that overrules it."""
+        return ()
+
     def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index``, without its clouds; None where nothing was."""
         return self.frame(index).annotation
@@ -418,11 +423,15 @@ class Mapped(Subset):
         """What was annotated in frame ``index``, seen through the map."""
         if getattr(self.function, "keeps_annotation", False):
             return self.parent.annotation(index)
+        annotated = getattr(self.function, "annotated", None)
+        if annotated is not None:
+            annotation = self.parent.annotation(index)
+            return None if annotation is None else annotated(annotation)
         return self.frame(index).annotation
 
     def has_annotation(self, index: int) -> bool:
         """Whether frame ``index``, seen through the map, was annotated."""
-        if getattr(self.function, "keeps_annotation", False):
+        if getattr(self.function, "keeps_annotation", False) or hasattr(self.function, "annotated"):
             return self.parent.has_annotation(index)
         return self.frame(index).has_annotation
 

@@ -63,8 +63,8 @@ class CloudReading:
         is_usual = usual_scale is not None and self.bin_columns == usual_columns
         self.intensity_scale = usual_scale if intensity_scale is None and is_usual else intensity_scale
         self.point_times = point_times
-        rows = np.unique(np.linspace(0, max(len(paths) - 1, 0), _LOOKED_AT).astype(int)).tolist() if paths else []
-        self.samples = tuple(paths[row] for row in rows)
+        rows = np.unique(np.linspace(0, max(len(paths) - 1, 0), _LOOKED_AT).astype(int)).tolist()
+        self.samples = tuple(paths[row] for row in rows if paths)
         times = [time for time in stamps_ns if time is not None]
         steps = [later - earlier for earlier, later in pairwise(times) if later > earlier]
         self.period_ns = float(np.median(steps)) if steps and len(times) == len(paths) else None

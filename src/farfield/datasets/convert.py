@@ -1,5 +1,7 @@
 """Write a data set in another's layout, for an annotation tool, or its ASCII clouds as a binary cache beside them."""
 
+import csv
+import io
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -8,6 +10,7 @@ from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
+from jaxtyping import Int
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter
@@ -15,6 +18,7 @@ from farfield.datasets.folder import Folder
 from farfield.datasets.kitti.object import KittiWriter
 from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
 from farfield.datasets.labels.json_labels import DatumaroLabels, OpenLabels, SustechLabels, file_name
+from farfield.datasets.splits import SPLIT_SHARES
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
@@ -80,6 +84,8 @@ def convert(
     check_apart(target, dataset)
     if to == "radar-store":
         return convert_to_store(_kradar(dataset), target, store, overwrite=overwrite, bulk=bulk)
+    if to != "boxes-csv" or target.suffix != ".csv":
+        check_file_names(dataset, to)
     if to == "boxes-csv" and target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
         target.parent.mkdir(parents=True, exist_ok=True)
         unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
@@ -146,6 +152,31 @@ def check_apart(target: Path, data: Dataset) -> None:
         raise ConfigError(
             f"{target}: expected another name, got that of data which are read: they would be written over"
         )
+
+
+def check_file_names(dataset: Dataset, to: str) -> None:
+    """Refuse names of sequences or frames that would share a file: a name of a file has no blanks or commas.
+
+    Args:
+        dataset: What is written.
+        to: The layout; KITTI's, Cirrus' and the cache number their files or take the sources' own.
+
+    Raises:
+        DatasetError: If two names would share one.
+    """
+    if to not in ("boxes-csv", *get_args(AnnotationTool)):
+        return
+    names: list[tuple[str, ...]] = [(sequence,) for sequence in dict.fromkeys(dataset.sequences)]
+    names += list(dict.fromkeys(dataset.keys)) if to in ("sustechpoints", "cvat") else []
+    name_of_file: dict[tuple[str, ...], tuple[str, ...]] = {}
+    for name in names:
+        file = tuple(file_name(part).casefold() for part in name)
+        twin = name_of_file.setdefault(file, name)
+        if twin != name:
+            raise DatasetError(
+                f"{dataset.root}: expected names that differ as names of files, got {'/'.join(twin)!r} and "
+                f"{'/'.join(name)!r}, which both become {'/'.join(file)}. Rename one of them."
+            )
 
 
 def _kradar(dataset: Dataset) -> Dataset:
@@ -262,14 +293,26 @@ class _ToKitti(_FrameConversion):
 
     def __call__(self, unit: Unit) -> UnitResult:
         index, frame = unit.parameters, self.dataset[unit.parameters]
-        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=boxes_of(frame, self.boxes))
+        boxes, occlusion = boxes_of(frame, self.boxes), _occlusion(frame)
+        paths = KittiWriter(self.target).write(index, frame, cloud=self.cloud, boxes=boxes, occlusion=occlusion)
         return UnitResult(files=tuple(paths.values()))
+
+
+def _occlusion(frame: Frame) -> Int[np.ndarray, " n"] | None:
+    """How far each box is hidden, as the labels say: 0 to 2, 3 where they do not know it."""
+    details = {} if frame.annotation is None else frame.annotation.details
+    if "occlusion" not in details:
+        return None
+    values = np.asarray(details["occlusion"]).astype(np.int64)
+    return np.where((values >= 0) & (values < 3), values, 3)
 
 
 def _finish_kitti(dataset: Dataset, target: Path) -> None:
     """Write what belongs to all frames."""
-    lines = [f"{index:06d},{sequence},{frame}" for index, (sequence, frame) in enumerate(dataset.keys)]
-    write_text(target / "frames.csv", "\n".join(["number,sequence,frame", *lines]) + "\n")
+    table = io.StringIO()
+    rows = ((f"{index:06d}", *key) for index, key in enumerate(dataset.keys))
+    csv.writer(table, lineterminator="\n").writerows([("number", "sequence", "frame"), *rows])
+    write_text(target / "frames.csv", table.getvalue())
     first = dataset[0]
     named = next((name for name in first.cameras if name in first.images), next(iter(first.cameras), ""))
     write_coordinates(target / "training" / "label_2", camera_words(named, first.reference))
@@ -277,12 +320,13 @@ def _finish_kitti(dataset: Dataset, target: Path) -> None:
 
 
 def _write_image_sets(dataset: Dataset, target: Path) -> None:
-    """Carry the split over as KITTI's usual lists; a set of fewer than three sequences has no split."""
-    if len(set(dataset.split_units())) < 3:
+    """Carry the split over as KITTI's usual lists: the parts a file names, else those of three or more sequences."""
+    named = dataset.split_parts()
+    if not named and len(set(dataset.split_units())) < len(SPLIT_SHARES):
         return
     number = {key: index for index, key in enumerate(dataset.keys)}
     (target / "ImageSets").mkdir(exist_ok=True)
-    for name in ("train", "val", "test"):
+    for name in (part for part in SPLIT_SHARES if part in (named or SPLIT_SHARES)):
         rows = [f"{number[key]:06d}\n" for key in dataset.split(name).keys]
         write_text(target / "ImageSets" / f"{name}.txt", "".join(rows))
 

@@ -3,7 +3,8 @@
 A root is one task or holds tasks::
 
     annotations/*.json, point_clouds/**/*.pcd                  Datumaro
-    tracklet_labels.xml, velodyne_points/data/*.pcd or *.bin   KITTI raw, as its authors publish drives, too
+    tracklet_labels.xml, velodyne_points/data/*.pcd or *.bin   KITTI raw, as its authors publish drives, too;
+                                                               frame_list.txt beside it names each number's sweep
     ann/<cloud file>.json, pointcloud/*.pcd                    Supervisely
 """
 
@@ -18,6 +19,12 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.json_labels import DatumaroLabels, SuperviselyLabels, annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
+from farfield.datasets.labels.tracklet_reading import (
+    FRAME_LIST,
+    TrackletReading,
+    checked_convention,
+    read_tracklets,
+)
 from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
@@ -41,17 +48,19 @@ class CvatTask:
     labels: tuple[Path, ...]
     parse: Callable[[bytes, Path], tuple[Cuboid, ...]]
 
-    def label_file(self, index: int) -> Path | None:
-        """The label file of a cloud."""
+    def label_files(self, index: int) -> tuple[Path, ...]:
+        """The label files that may hold boxes of a cloud."""
         if self.parse is not parse_supervisely:
-            return self.labels[0]
+            return self.labels
         name = self.clouds[index].name
-        return next((path for path in self.labels if path.name == f"{name}.json"), None)
+        return tuple(path for path in self.labels if path.name == f"{name}.json")
 
-    def frame_names(self, index: int) -> tuple[str, ...]:
-        """How label files may call a cloud: its stem, or its number."""
-        stem = self.clouds[index].stem
-        return (stem, str(int(stem)) if stem.isascii() and stem.isdigit() else str(index), "")
+    def stray_labels(self) -> list[str]:
+        """Label files of single clouds that belong to none."""
+        if self.parse is not parse_supervisely:
+            return []
+        names = {f"{cloud.name}.json" for cloud in self.clouds}
+        return [path.name for path in self.labels if path.name not in names]
 
 
 def tasks(root: Path) -> list[CvatTask]:
@@ -84,6 +93,8 @@ class Cvat(Dataset):
 
     Args:
         root: A task, or a folder of tasks.
+        tracklets: What the numbers of ``tracklet_labels.xml`` stand for: ``"kitti"``, ``"cvat"`` or ``"datumaro"``;
+            None decides by the list beside it, the writer's marks, and the points in the boxes.
         bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
         intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
         point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
@@ -91,6 +102,7 @@ class Cvat(Dataset):
 
     Raises:
         DatasetError: If there is none.
+        ConfigError: If there is no such convention.
     """
 
     name = "cvat"
@@ -99,16 +111,20 @@ class Cvat(Dataset):
         self,
         root: Path | str,
         *,
+        tracklets: str | None = None,
         bin_columns: int | None = None,
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
-        self.root = Path(root)
+        self.root, self.tracklets = Path(root), tracklets
+        checked_convention(tracklets)
         self.tasks = tasks(self.root)
         if not self.tasks:
             looked = f"annotations/*.json with point_clouds, {_TRACKLETS} with {_KITTI_CLOUDS}, ann with pointcloud"
             raise DatasetError(f"{self.root}: expected a task of CVAT, found none. Looked for {looked}")
         self.frames = [(task, index) for task in self.tasks for index in range(len(task.clouds))]
+        for task in self.tasks:
+            _check_names(task)
         self.sequences = tuple(task.folder.resolve().name for task, _ in self.frames)
         self.frame_ids = tuple(task.clouds[index].stem for task, index in self.frames)
         self.reading = CloudReading(
@@ -121,18 +137,36 @@ class Cvat(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
         task, cloud_index = self.frames[index]
-        label = task.label_file(cloud_index)
-        return [task.clouds[cloud_index], *([] if label is None else [label])]
+        labels = task.label_files(cloud_index)
+        beside = [*labels, *(path.with_name(FRAME_LIST) for path in labels[:1])]
+        return [task.clouds[cloud_index], *(path for path in beside if path.is_file())]
 
     def has_annotation(self, index: int) -> bool:
         """Whether there is a label file for frame ``index``; a frame that it does not mention has no objects."""
         task, cloud_index = self.frames[index]
-        return task.label_file(cloud_index) is not None
+        return bool(task.label_files(cloud_index))
 
     def annotation(self, index: int) -> Annotation | None:
         """The boxes of frame ``index``."""
+        load = self._annotation_of(index)
+        return None if load is None else load()
+
+    def _annotation_of(self, index: int) -> Callable[[], Annotation] | None:
+        """What gives the annotation of frame ``index``; None where it has none."""
         task, cloud_index = self.frames[index]
-        return _annotation(task, cloud_index) if self.has_annotation(index) else None
+        if not self.has_annotation(index):
+            return None
+        return partial(_annotation, task, cloud_index, self.tracklets, self.reading.bin_columns)
+
+    def tracklets_of(self, task: CvatTask) -> TrackletReading:
+        """The tracklets of a task; errors are those of :func:`read_tracklets`."""
+        return _tracklets_of(task, self.tracklets, self.reading.bin_columns)
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What the numbers of each task's tracklets stand for, and by what that was decided."""
+        readings = [self.tracklets_of(task) for task in self.tasks if task.parse is parse_tracklets]
+        return tuple(reading.sentence for reading in readings if not reading.published)
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
@@ -142,7 +176,7 @@ class Cvat(Dataset):
             frame_id=self.frame_ids[index],
             clouds=Lazy({"lidar": self.reading.loader(task.clouds[cloud_index])}),
             sensors={"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))},
-            load_annotation=partial(_annotation, task, cloud_index) if self.has_annotation(index) else None,
+            load_annotation=self._annotation_of(index),
             metadata={"files": [str(path) for path in self.files(index)]},
         )
 
@@ -153,12 +187,16 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
     Datumaro's of one task or of tasks in the root, Supervisely's, or KITTI's tracklets; None where they are mixed.
     """
     if all(task.parse is parse_tracklets for task in data.tasks):
-        frames = zip(data.keys, data.frames, strict=True)
-        return TrackletLabels({key: (task.labels[0], int(task.frame_names(index)[1])) for key, (task, index) in frames})
+        readings = {task.folder: data.tracklets_of(task) for task in data.tasks}
+        places = {
+            key: (task.labels[0], readings[task.folder].numbers[task.clouds[index].stem])
+            for key, (task, index) in zip(data.keys, data.frames, strict=True)
+        }
+        return TrackletLabels(places, {task.labels[0]: readings[task.folder].convention for task in data.tasks})
     if all(task.parse is parse_supervisely for task in data.tasks):
         entries = zip(data.keys, data.frames, strict=True)
         return SuperviselyLabels({key: _ann(task, index) for key, (task, index) in entries})
-    files = [task.labels[0] for task in data.tasks if task.parse is _datumaro]
+    files = [task.labels[0] for task in data.tasks if task.parse is _datumaro and len(task.labels) == 1]
     if len(files) == len(data.tasks) == 1:
         return DatumaroLabels(files[0])
     named = all(path == DatumaroLabels(data.root).path((path.parents[1].name, "")) for path in files)
@@ -167,16 +205,68 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
 
 def _ann(task: CvatTask, index: int) -> Path:
     """The annotation file of a cloud, or where it would stand."""
-    return task.label_file(index) or task.folder / "ann" / f"{task.clouds[index].name}.json"
+    return next(iter(task.label_files(index)), None) or task.folder / "ann" / f"{task.clouds[index].name}.json"
 
 
-def _annotation(task: CvatTask, index: int) -> Annotation:
-    path = task.label_file(index)
-    assert path is not None
-    status = path.stat()
-    by_frame = _parsed(path, task.parse, status.st_mtime_ns, status.st_size)
-    cuboids = next((by_frame[name] for name in task.frame_names(index) if name in by_frame), ())
-    return annotation_of(cuboids)
+def _check_names(task: CvatTask) -> None:
+    """Each cloud has a name of its own, and label files of single clouds are called like them."""
+    stems: dict[str, Path] = {}
+    for cloud in task.clouds:
+        twin = stems.setdefault(cloud.stem, cloud)
+        if twin is not cloud:
+            raise DatasetError(f"{cloud}: expected clouds of different names in a task, {twin} is called so too")
+    strays = task.stray_labels()
+    if strays and len(strays) == len(task.labels):
+        raise DatasetError(
+            f"{task.folder / 'ann'}: expected files called like the clouds, such as {task.clouds[0].name}.json, found "
+            f"{strays[0]}. Name them so."
+        )
+
+
+def _tracklets_of(task: CvatTask, convention: str | None, bin_columns: int | None) -> TrackletReading:
+    return read_tracklets(task.labels[0], task.clouds, convention=convention, bin_columns=bin_columns)
+
+
+def _annotation(task: CvatTask, index: int, convention: str | None, bin_columns: int | None) -> Annotation:
+    if task.parse is parse_tracklets:
+        return annotation_of(_tracklets_of(task, convention, bin_columns).boxes(task.clouds[index].stem))
+    stems, stem = tuple(cloud.stem for cloud in task.clouds), task.clouds[index].stem
+    boxes: tuple[Cuboid, ...] = ()
+    for path in task.label_files(index):
+        status = path.stat()
+        by_frame = _parsed(path, task.parse, status.st_mtime_ns, status.st_size)
+        if task.parse is parse_supervisely:
+            return annotation_of(by_frame.get("", ()))
+        name = _frame_of_stem(path, stems, tuple(by_frame)).get(stem)
+        if name is not None and boxes:
+            raise DatasetError(
+                f"{path}: expected each cloud in one of a task's files, found boxes of {name!r} in another too. "
+                "Leave one of the files there"
+            )
+        boxes = boxes if name is None else by_frame[name]
+    return annotation_of(boxes)
+
+
+@lru_cache(maxsize=4)
+def _frame_of_stem(path: Path, stems: tuple[str, ...], frames: tuple[str, ...]) -> Mapping[str, str]:
+    """The frame of a file that each cloud is: that of its name, or of its number where names are numbers.
+
+    Raises:
+        DatasetError: If a frame with boxes is none of the clouds, or two are one.
+    """
+    number_of = {int(stem): stem for stem in stems if stem.isascii() and stem.isdigit()}
+    frame_of: dict[str, str] = {}
+    for frame in frames:
+        number = int(frame) if frame.isascii() and frame.isdigit() else -1
+        stem = frame if frame in stems else number_of.get(number, "")
+        if not stem or stem in frame_of:
+            problem = "no cloud of that name" if not stem else f"{stem} for {frame_of[stem]!r} too"
+            raise DatasetError(
+                f"{path}: expected boxes of the clouds {stems[0]} ... {stems[-1]}, each once, found {frame!r} and "
+                f"{problem}. Name items as the clouds' files (id, or point_cloud: path), or put the clouds there."
+            )
+        frame_of[stem] = frame
+    return frame_of
 
 
 @lru_cache(maxsize=4)

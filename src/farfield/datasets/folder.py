@@ -10,7 +10,7 @@ Boxes: ``<stem>.json`` beside the cloud or in ``boxes/`` or ``labels/``::
 optional; unknown keys are errors. Or all boxes in one table, ``labels.csv`` in the folder, with the columns of
 :mod:`farfield.files.boxes_csv`; ``sequence`` may be absent, else it is the folder's name. A frame without a line there
 is not annotated: the JSON ``{"boxes": []}`` beside a cloud says that nothing is to be seen. A file ``mapping.yaml``
-renames classes: ``classes: {Auto: vehicle}``.
+renames classes: ``classes: {Auto: vehicle}``; without a line there, usual names such as ``Car`` are mapped to ours.
 """
 
 import json
@@ -22,17 +22,19 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from farfield.datasets.base import Dataset, Indices, all_known
 from farfield.datasets.calibration import CALIBRATION_NAMES, usable_cameras
+from farfield.datasets.class_mapping import MAPPING_NAME, read_class_mapping, renamed, usual
 from farfield.datasets.cloud_reading import CloudReading
-from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
+from farfield.errors import DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
-from farfield.files.boxes_csv import read_boxes_csv
+from farfield.files.boxes_csv import read_boxes_csv, zeros_note
+from farfield.files.cuboids import check_yaw
 from farfield.files.images import read_image
+from farfield.files.json_text import parse_json
 from farfield.files.point_times import PointTimes
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Constant, Frame, Lazy, Sensor, camera_sensor
@@ -76,12 +78,14 @@ def read_boxes(path: Path | str) -> Boxes:
     """
     data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
-        entries = _BoxFile.model_validate_json(data).boxes
+        entries = _BoxFile.model_validate(parse_json(data, path)).boxes
     except ValidationError as error:
         _refuse_labelcloud(path, data)
         raise FileFormatError(path, where="keys", expected="boxes", got=plain(error)) from error
     if not entries:
         return Boxes.empty()
+    for number, entry in enumerate(entries):
+        check_yaw(entry.yaw_rad, path, f"box {number}")
     scores = [entry.score for entry in entries]
     tracks = [-1 if entry.track_id is None else entry.track_id for entry in entries]
     if any(score is None for score in scores) and any(score is not None for score in scores):
@@ -164,7 +168,7 @@ def _time_ns(stem: str) -> int | None:
 
 
 def _read_annotation(path: Path, classes: Mapping[str, str]) -> Annotation:
-    return renamed(Annotation(boxes=read_boxes(path)), classes)
+    return renamed(usual(Annotation(boxes=read_boxes(path))), classes)
 
 
 def cloud_files(root: Path) -> list[Path]:
@@ -198,6 +202,8 @@ def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
         FileFormatError: If it is no such table.
     """
     rows = read_boxes_csv(path)
+    for row, yaw_rad in enumerate(rows.yaw_rad.tolist()):
+        check_yaw(yaw_rad, path, f"box {row + 1}")
     boxes = Boxes(
         centre_m=rows.centre_m,
         size_m=rows.size_m,
@@ -252,7 +258,7 @@ class Folder(Dataset):
         self.root = Path(root)
         own = self.root / MAPPING_NAME
         self.mapping_path = Path(mapping) if mapping is not None else own if own.is_file() else None
-        self.classes = {} if self.mapping_path is None else read_class_mapping(self.mapping_path)
+        self.class_mapping = {} if self.mapping_path is None else read_class_mapping(self.mapping_path)
         self.clouds = cloud_files(self.root)
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected clouds with suffix {', '.join(CLOUD_SUFFIXES)}; found none")
@@ -277,7 +283,8 @@ class Folder(Dataset):
         if self._table and not set(self._table) & set(self.frame_ids):
             raise DatasetError(
                 f"{self.table_path}: expected boxes of the clouds beside it, such as frame {self.frame_ids[0]!r}; its "
-                f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files."
+                f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files. "
+                f"{zeros_note(self._table, self.frame_ids)}".rstrip()
             )
         cloud_stems, stems = set(self.frame_ids), [self._stems(folder) for folder in _BOX_FOLDERS]
         for row, folder in enumerate(_BOX_FOLDERS):
@@ -317,7 +324,7 @@ class Folder(Dataset):
         """List the files of frame ``index``."""
         beside = (self._beside(index, _BOX_FOLDERS, [".json"]), self._beside(index, ("", "images"), _IMAGE_SUFFIXES))
         table = self.table_path if self._table else None
-        mapping = self.mapping_path if self.classes else None
+        mapping = self.mapping_path if self.class_mapping else None
         return [self.clouds[index], *(path for path in (*beside, table, mapping) if path)]
 
     def annotation(self, index: int) -> Annotation | None:
@@ -329,8 +336,8 @@ class Folder(Dataset):
         """What gives the annotation of frame ``index``; None where it has none."""
         path, listed = self._beside(index, _BOX_FOLDERS, [".json"]), self._table.get(self.frame_ids[index])
         if path is not None:
-            return partial(_read_annotation, path, self.classes)
-        return None if listed is None else Constant(renamed(Annotation(boxes=listed), self.classes))
+            return partial(_read_annotation, path, self.class_mapping)
+        return None if listed is None else Constant(renamed(usual(Annotation(boxes=listed)), self.class_mapping))
 
     def has_annotation(self, index: int) -> bool:
         """Whether boxes stand beside frame ``index``."""
@@ -375,40 +382,3 @@ class Folder(Dataset):
             load_annotation=self._annotation_of(index),
             metadata={"files": [str(file) for file in self.files(index)]},
         )
-
-
-# The mapping file: ``classes: {Auto: vehicle, LKW: large_vehicle}``.
-
-MAPPING_NAME = "mapping.yaml"
-_MAX_MAPPING_BYTES = 1 << 20
-
-
-class _Classes(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-    classes: dict[str, Annotated[str, Field(min_length=1)]] = {}
-
-
-def read_class_mapping(path: Path | str) -> Mapping[str, str]:
-    """The classes by the names that the labels have.
-
-    Raises:
-        ConfigError: If it cannot be read, is no YAML, or has another key.
-    """
-    try:
-        content = yaml.safe_load(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
-        return _Classes.model_validate({} if content is None else content).classes
-    except ValidationError as error:
-        fix = "An own folder's mapping has one key, such as classes: {Auto: vehicle}."
-        raise ConfigError(f"{path}: {plain(error)}. {fix}") from error
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
-
-
-def renamed(annotation: Annotation, classes: Mapping[str, str]) -> Annotation:
-    """An annotation under other class names; what the labels say stays as ``original_label``."""
-    names = tuple(map(str, annotation.boxes.label))
-    if not set(names) & set(classes):
-        return annotation
-    boxes = annotation.boxes.replace(label=[classes.get(name, name) for name in names])
-    return Annotation(boxes=boxes, original_label=names)

@@ -12,6 +12,8 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 
+from farfield.files.yaml_text import PlainLoader
+
 _POSES = ("camera_T_lidar", "T_cam_lidar", "T_camera_lidar")
 _MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "CameraMat", "intrinsic_matrix", "K", "K1", "M1")
 _COEFFICIENTS = (
@@ -43,7 +45,7 @@ class ForeignCamera:
     height_px: int
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(PlainLoader):
     """YAML with OpenCV's tags, which are read as plain groups and lists."""
 
 

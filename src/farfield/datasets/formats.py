@@ -1,7 +1,7 @@
 """The formats of data sets: how each is recognised, what reads it, a registry open to packages, open_dataset."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.base import Dataset
+from farfield.datasets.class_mapping import MAPPING_NAME, maps_classes, read_class_mapping
 from farfield.datasets.frame_maps import described, make
 from farfield.datasets.recipes import maps_of_options, plain
 from farfield.datasets.unread import advice_on, unread_files
@@ -355,7 +356,8 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
         format: One of :data:`DATASETS`; None recognises it.
         **options: ``poses``, a file or folder of poses as ``farfield odometry`` writes them; ``rotate_deg``, which
             turns every frame counter-clockwise about z (180 looks backwards); and those of the format's reader, such as
-            ``mapping=`` for Cirrus and own folders.
+            ``columns``. ``mapping`` renames the classes of every format (``classes: {Auto: vehicle}``; without it
+            ``mapping.yaml`` in the root, where it is such a file), or describes a Cirrus layout.
 
     Raises:
         DatasetError: If the folder does not exist or nothing in it is recognised; the message lists what was looked
@@ -368,8 +370,10 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     root = Path(path).expanduser()
     if not root.is_dir():
         raise DatasetError(f"{path}: expected a data set's folder, found {_no_folder(root)}.")
+    recognised = format or recognise(root)
+    classes, options = _class_mapping(root, recognised, options)
     if format is None:
-        format = recognise(root)
+        format = recognised
         if options.get("mapping") is not None and format != "folder":  # another layout: what it is like stands there
             format = "cirrus"
     if format is None:
@@ -382,7 +386,26 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     own = _checked_options(format, reader, options)
     opened = reader(root, **{name: value for name, value in options.items() if name in own})
     opened.options = {name: plain(value) for name, value in options.items() if name in own}
+    opened = opened if not classes else opened.mapped(make("classes", {"classes": classes}))
     return _viewed(opened, {name: value for name, value in options.items() if name not in own})
+
+
+def _class_mapping(
+    root: Path, format: str | None, options: Mapping[str, Any]
+) -> tuple[Mapping[str, str], dict[str, Any]]:
+    """The classes of a mapping for any format, given or beside the data, and the options less that mapping.
+
+    Own folders read it themselves; a mapping of a Cirrus layout stays an option.
+    """
+    mapping = options.get("mapping")
+    if format in (None, "folder") or not (mapping is None or isinstance(mapping, str | Path)):
+        return {}, dict(options)
+    beside = root / MAPPING_NAME
+    path = Path(mapping) if mapping is not None else beside if beside.is_file() else None
+    beside_others = mapping is None and format != "cirrus"  # which has a mapping of another kind
+    if path is None or not (beside_others or maps_classes(path)):
+        return {}, dict(options)
+    return read_class_mapping(path), {name: value for name, value in options.items() if name != "mapping"}
 
 
 def _no_folder(root: Path) -> str:
@@ -419,10 +442,9 @@ def _inside(root: Path) -> str:
 
 def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> set[str]:
     """Options that are the reader's own; the others are views, of which it must offer each."""
-    parameters = [*inspect.signature(reader).parameters.values()][1:]
-    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+    own = _parameters(reader)
+    if own is None:
         return set(options) - {*_EVERYWHERE, *reader.view_options}
-    own = [parameter.name for parameter in parameters]
     offered = [*own, *(name for name in reader.view_options if name not in own), *_EVERYWHERE]
     unknown = [name for name in options if name not in offered]
     if unknown:
@@ -432,6 +454,25 @@ def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> se
             f"{', '.join(offered)}"
         )
     return set(own)
+
+
+def _parameters(reader: Any) -> list[str] | None:
+    """The options of a reader's own; None where it takes any."""
+    parameters = [*inspect.signature(reader).parameters.values()][1:]
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        return None
+    return [parameter.name for parameter in parameters]
+
+
+def known_options(path: Path | str, options: Iterable[str]) -> set[str]:
+    """Those of some options of :func:`open_dataset` that a data set's format knows; all where it is not recognised."""
+    root = Path(path).expanduser()
+    format = recognise(root) if root.is_dir() else None
+    reader = None if format is None else find_format(format).load()
+    own = None if reader is None else _parameters(reader)
+    if reader is None or own is None:
+        return set(options)
+    return set(options) & {*own, *reader.view_options, *_EVERYWHERE, "mapping"}
 
 
 def _viewed(data: Dataset, options: Mapping[str, Any]) -> Dataset:

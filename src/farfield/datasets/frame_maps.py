@@ -21,6 +21,7 @@ class FrameMap(Protocol):
     attributes say more of it; without them nothing is assumed:
 
     - ``frames_before``: how many frames before the present one it reads, 0 if left out.
+    - ``annotated(annotation)``: what becomes of an annotation alone, so that it can be read without building the frame.
     - ``keeps_annotation``: whether the annotation stays as it is, so that it can be read without building the frame.
     - ``moved_poses(poses)``: what becomes of the drives' ``world_T_frame``, shape (n, 4, 4); None where not known.
     - ``poses_of(keys)``: the poses that it gives the frames of a drive, shape (n, 4, 4), or None.
@@ -55,6 +56,7 @@ MAPS: Registry[Any] = Registry(
     "farfield.maps",
     "map of frames",
     {
+        "classes": "farfield.datasets.class_mapping:Classes",
         "common_radar": "farfield.datasets.maps.common_radar:CommonRadar",
         "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
         "edited": "farfield.datasets.edits.edited:Edited",

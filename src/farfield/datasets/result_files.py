@@ -11,11 +11,11 @@ import numpy as np
 from farfield.datasets.base import Dataset
 from farfield.datasets.convert import box_rows
 from farfield.datasets.kitti.boxes import objects_from_boxes
-from farfield.datasets.kitti.object import VIRTUAL_CAMERA
+from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti
 from farfield.errors import ConfigError
 from farfield.files.atomic import open_atomic
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv_parts
-from farfield.files.coordinates import camera_words, write_coordinates
+from farfield.files.coordinates import camera_words, read_coordinates, write_coordinates
 from farfield.files.kitti import write_labels
 from farfield.files.nuscenes import WORLD
 from farfield.frame import Boxes, Frame, Key
@@ -103,14 +103,13 @@ class ResultWriter:
         virtual, named = 0, set[Path]()
         for number, ((sequence, frame_id), boxes) in enumerate(frame_boxes):
             frame = self.frames[number]
-            called, camera = next(iter(frame.cameras.items()), ("", None))
+            camera = next(iter(frame.cameras.values()), None)
             virtual += camera is None
             folder = out / sequence if several else out
             if folder not in named:
                 named.add(folder)
-                write_coordinates(folder, camera_words(called, frame.reference))
-            classes = _named(boxes, KITTI_FROM_CIRRUS)
-            objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=classes)
+                write_coordinates(folder, coordinates_of_text(self.frames, frame))
+            objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=KITTI_FROM_CIRRUS)
             write_labels(folder / f"{frame_id}.txt", objects)
         if virtual:
             self.notes.append(
@@ -167,3 +166,10 @@ def _samples(token: str, boxes: Boxes) -> Iterator[dict[str, Any]]:
             "detection_score": float(score[row]),
             "attribute_name": "",
         }
+
+
+def coordinates_of_text(frames: Sequence[Frame] | Dataset, frame: Frame) -> str:
+    """What boxes in KITTI's text stand in: as the labels of a converted data set name it, else the frame's camera."""
+    reader = frames.unwrapped if isinstance(frames, Dataset) else None
+    beside = read_coordinates(reader.folder / "label_2") if isinstance(reader, Kitti) else ""
+    return beside or camera_words(next(iter(frame.cameras), ""), frame.reference)

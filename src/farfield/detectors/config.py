@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from farfield.detectors.spec import DETECTORS
 from farfield.errors import FarfieldError
 from farfield.geometry.boxes import Boxes
+from farfield.vocabulary.classes import unit_of_sizes
 
 Channels = Annotated[int, Field(ge=1, le=4096)]
 """A number of features."""
@@ -61,6 +62,10 @@ class DetectorConfig(BaseModel, ABC):
     @model_validator(mode="after")
     def _possible_lengths(self) -> "DetectorConfig":
         check_lengths(self)
+        longest = [max(size) for size in self.anchor_sizes_m.values()]
+        unit = unit_of_sizes(float(np.median(longest))) if longest else ""
+        if unit:
+            raise ValueError(f"expected sizes in metres, got a median length of {np.median(longest):g}: {unit}")
         return self
 
     @field_validator("name")

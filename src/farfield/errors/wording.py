@@ -23,6 +23,8 @@ def plain(error: BaseException) -> str:
         return f"what is no YAML in line {mark.line + 1}, column {mark.column + 1}{tab}"
     if hasattr(error, "lineno") and hasattr(error, "doc"):  # json's
         return _json_fault(error)
+    if isinstance(error, UnicodeDecodeError) and error.object[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "UTF-16 text: save it as UTF-8"
     if isinstance(error, UnicodeDecodeError):
         return f"bytes that are no UTF-8 text, from byte {error.start} on"
     if isinstance(error, RecursionError):

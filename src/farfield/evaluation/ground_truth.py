@@ -3,17 +3,25 @@
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from farfield.datasets import open_dataset, recognise
 from farfield.datasets.base import Dataset
+from farfield.datasets.class_mapping import class_mapping_of
+from farfield.datasets.kitti.boxes import objects_from_boxes
+from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.memory import in_memory
+from farfield.datasets.result_files import coordinates_of_text
 from farfield.errors import ConfigError
 from farfield.evaluation.detecting import check_new_key, label_facts, points_in_boxes, with_point_count
-from farfield.frame import Annotation, Boxes, Frame, Key
-from farfield.metrics.box_files import read, read_predictions
+from farfield.frame import Annotation, Boxes, Constant, Frame, Key
+from farfield.metrics.box_files import kitti_boxes, read, read_predictions
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.kradar.conditions import read_conditions
+from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, normalised_class
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
@@ -80,26 +88,92 @@ def _unknown_frames(boxes: Mapping[Key, Boxes], annotated: Collection[Key], keys
 
 
 def read_detections(
-    predictions: Path | str, labels: Path | str | Dataset, *, format: str = "boxes-csv", reference: str = ""
+    predictions: Path | str,
+    labels: Path | str | Dataset,
+    *,
+    format: str = "boxes-csv",
+    reference: str = "",
+    **options: Any,
 ) -> Detections:
     """Predictions of files beside the labels of files, or of a data set.
 
     Args:
         predictions: File, or folder of files, of predicted boxes.
         labels: File, or folder of files of equal stems, of annotated boxes; or a data set, or its folder.
-        format: As of :func:`farfield.metrics.box_files.read`; a data set is looked for with ``"boxes-csv"`` alone.
+        format: As of :func:`farfield.metrics.box_files.read`. With ``"kitti"`` a data set's boxes are seen in the
+            axes of its camera, as ``predict --format kitti`` writes them.
         reference: Coordinates in which boxes stand whose files do not name them.
+        **options: Those of :func:`farfield.open_dataset`, for a data set's folder.
 
     Raises:
-        ConfigError: If there is nothing to read or to score, or the files name other coordinates.
+        ConfigError: If there is nothing to read or to score, the files name other coordinates, or options are given
+            where no data set is opened.
         FileFormatError: If a file does not have its format.
     """
     if isinstance(labels, Path | str):
         folder = Path(labels)
-        if format != "boxes-csv" or not folder.is_dir() or recognise(folder) is None:
+        texts = folder.is_dir() and any(folder.glob("*.txt"))
+        if format not in ("boxes-csv", "kitti") or texts or not folder.is_dir() or recognise(folder) is None:
+            if options:
+                raise ConfigError(
+                    f"{', '.join(options)}: expected a data set's folder in the place of the labels, whose files are "
+                    f"read so, got files of boxes: {labels}"
+                )
             return read(predictions, labels, format=format, reference=reference)
-        labels = open_dataset(folder)
+        labels = open_dataset(folder, **options)
+    if format == "kitti":
+        return _in_cameras(Path(predictions), labels, reference)
     return attach_ground_truth(read_predictions(predictions, format=format, reference=reference), labels)
+
+
+def _in_cameras(predictions: Path, data: Dataset, reference: str) -> Detections:
+    """KITTI's results beside a data set's boxes in the same axes: KITTI's own label files, or boxes brought there.
+
+    Args:
+        predictions: Folder of texts, ``FRAME.txt``, or of such folders by sequence.
+        data: The data set that was predicted on.
+        reference: Coordinates of predictions that do not name theirs.
+
+    Raises:
+        ConfigError: If the predictions name other coordinates, or none is of an annotated frame.
+    """
+    reader = data.unwrapped
+    if isinstance(reader, Kitti) and reader.label_axes == "camera" and not data.maps:
+        return read(predictions, reader.folder / "label_2", format="kitti", reference=reference)
+    sequences = list(dict.fromkeys(data.sequences))
+    folders = {name: predictions / name for name in sequences if (predictions / name).is_dir()}
+    folders = folders or {sequences[0]: predictions}
+    boxes: dict[Key, Boxes] = {}
+    details: dict[Key, Mapping[str, np.ndarray]] = {}
+    notes: list[str] = []
+    for sequence, folder in folders.items():
+        detections = read_predictions(folder, format="kitti", reference=reference)
+        boxes |= {(sequence, frame): predicted for (_, frame), predicted in detections.boxes.items()}
+        details |= {(sequence, frame): facts for (_, frame), facts in detections.prediction_details.items()}
+        notes += [note for note in detections.notes if note not in notes]
+        own = coordinates_of_text(data, data[0])
+        if detections.reference not in ("", own):
+            raise ConfigError(
+                f"{folder}: the boxes stand in the coordinates of {detections.reference}; those of {data.root} can be "
+                f"seen in those of {own}. Name the data set that was predicted on"
+            )
+    annotated = [_in_camera(data, index) for index in range(len(data)) if data.has_annotation(index)]
+    joined = detections_from_boxes(boxes, annotated)
+    notes += [note for note in joined.notes if note not in notes]
+    return replace(joined, prediction_details=details, notes=tuple(notes)).with_oddities()
+
+
+def _in_camera(data: Dataset, index: int) -> Frame:
+    """A frame with its boxes alone, under KITTI's names in the axes of its first camera, ahead, left and up."""
+    frame = data[index]
+    boxes = Boxes.empty() if frame.boxes is None else frame.boxes
+    objects = objects_from_boxes(boxes, next(iter(frame.cameras.values()), VIRTUAL_CAMERA), classes=KITTI_FROM_CIRRUS)
+    facts = {"truncation": objects.truncation, "occlusion": objects.occlusion, "box_px": objects.box_px}
+    details = {} if frame.annotation is None else frame.annotation.details
+    if all(name in details for name in facts):  # KITTI's own labels under other names
+        facts = {name: details[name] for name in facts}
+    annotation = Annotation(boxes=kitti_boxes(objects), details=facts)
+    return Frame(sequence=frame.sequence, frame_id=frame.frame_id, load_annotation=Constant(annotation))
 
 
 def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
@@ -128,7 +202,22 @@ def attach_ground_truth(predictions: Detections, data: Dataset) -> Detections:
         notes.append(f"predictions name no sequence: their frames are taken for those of {name!r}, the data's only one")
         boxes = {(name, frame_id): predicted for (_, frame_id), predicted in boxes.items()}
     detections = detections_from_boxes(boxes, in_coordinates(data, reference))
+    names = _meant(detections, data)
+    if names:
+        renamed = {key: predicted.relabel(names) for key, predicted in detections.boxes.items()}
+        detections = replace(detections, boxes=renamed)
+        pairs = ", ".join(f"{name} is {ours}" for name, ours in names.items())
+        notes.append(f"classes of the predictions are called as the data's: {pairs}")
     return replace(detections, notes=(*notes, *detections.notes)).with_oddities()
+
+
+def _meant(detections: Detections, data: Dataset) -> dict[str, str]:
+    """The data's class of each name in the predictions that the annotation lacks: by their mapping, or usual names."""
+    annotated = {str(name) for boxes in detections.annotated.values() for name in np.unique(boxes.label)}
+    predicted = {str(name) for boxes in detections.boxes.values() for name in np.unique(boxes.label)}
+    classes = class_mapping_of(data)
+    meant = {name: classes.get(name, normalised_class(name, {})) for name in sorted(predicted - annotated)}
+    return {name: ours for name, ours in meant.items() if ours in annotated}
 
 
 def in_coordinates(data: Dataset, reference: str) -> Dataset:

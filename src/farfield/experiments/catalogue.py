@@ -6,9 +6,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from farfield.errors import ConfigError
+from farfield.files.yaml_text import plain_yaml
 
 FOLDER = Path(__file__).resolve().parent
 
@@ -72,7 +71,7 @@ def find(name_or_path: str | Path) -> Path:
 
 def _shipped(path: Path) -> ShippedExperiment:
     text = path.read_text(encoding="utf-8")
-    tree: dict[str, Any] = yaml.safe_load(text)
+    tree: dict[str, Any] = plain_yaml(text)
     simulate = tree["data"].get("simulate") or {}
     return ShippedExperiment(
         name=tree["name"],

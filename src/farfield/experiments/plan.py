@@ -23,7 +23,7 @@ from farfield.inspection.axes_and_units import first_doubts
 from farfield.simulation.recording import ensure, recorded_frames
 from farfield.training.checkpoints import CHECKPOINT_NAME
 from farfield.training.loop import Training
-from farfield.training.method import DETECTOR, METHODS, Method, network_of
+from farfield.training.method import DETECTOR, LABELLED, METHODS, Method, network_of
 from farfield.training.param_groups import describe_parts, frozen_names, frozen_now
 from farfield.training.processes import kind_of_device, launch, precision_of
 from farfield.training.report import TrainingReport
@@ -118,6 +118,8 @@ class Plan:
         )
         training.check()
         if fabric.is_global_zero:
+            for name, samples in training.samples.items():
+                self._name_what_is_left_out(samples.names_left_out(), name, report)
             self.folder.mkdir(parents=True, exist_ok=True)
             if transfer is not None:
                 start = {**transfer.to_json(), **training.provenance["start"]}
@@ -131,6 +133,16 @@ class Plan:
             for text in diagnose_log(logged(self.folder)):
                 report.say(f"note: {text}")
         return weights
+
+    def _name_what_is_left_out(self, names: Mapping[str, int], stream: str, report: TrainingReport) -> None:
+        """Say which boxes are background to the training because nobody said what their names mean."""
+        if names:
+            shown = ", ".join(f"{name} ({count})" for name, count in list(names.items())[:8])
+            key = "data" if stream == LABELLED else f"data.{stream}"
+            report.say(
+                f"note: boxes of names that are not trained count as background: {shown}. Say what they are by "
+                f"-o '{key}.aliases={{{next(iter(names))}: CLASS}}' or a mapping.yaml beside the data"
+            )
 
     def announce(self, report: TrainingReport) -> None:
         """Say what the run is about to do; errors are those of :meth:`run` that need no simulation to be found."""

@@ -23,6 +23,7 @@ from farfield.detectors import DETECTORS
 from farfield.detectors.config import DetectorConfig, current_key, renamed
 from farfield.errors import ConfigError, FarfieldError, fault_of, plain
 from farfield.experiments.catalogue import find
+from farfield.files.yaml_text import plain_yaml
 from farfield.simulation.recording import SimulationConfig
 from farfield.training.config import AugmentationConfig, TrainingConfig
 
@@ -151,7 +152,7 @@ def _extended(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 def _tree(path: Path) -> dict[str, Any]:
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        tree = plain_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: expected an experiment's YAML file, found nothing.") from error
     except yaml.YAMLError as error:
@@ -235,7 +236,7 @@ def _override(tree: dict[str, Any], detector: type[DetectorConfig], override: st
         if not isinstance(tree, dict):
             raise ConfigError(f"Expected {key!r} in {override!r} to be a group of settings; it is a value.")
     try:
-        tree[last] = yaml.safe_load(value)
+        tree[last] = plain_yaml(value)
     except yaml.YAMLError as error:
         raise ConfigError(f"{override!r}: expected a value as YAML writes it, got {value!r}.") from error
 

@@ -20,10 +20,12 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from farfield.errors import ConfigError, FileFormatError
+from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import open_atomic, read_bytes
 
 MAX_CSV_BYTES = 1 << 28
+MOST_COUNT = 1 << 53
+"""Whole numbers from here on are not all told apart in float64."""
 _NUMBERS = ("x", "y", "z", "l", "w", "h", "yaw_rad")
 _LEAST_M = 1e-4
 _MOST = {"x": 1e7, "y": 1e7, "z": 1e7, "l": 1e6, "w": 1e6, "h": 1e6, "yaw_rad": 1e3}
@@ -98,19 +100,40 @@ def parse_boxes_csv(data: bytes, path: Path | str) -> BoxRows:
     _check_header(path, header)
     numbers = {name: array("d") for name in COLUMNS if name in header and name not in _WORDS}
     texts: dict[str, list[str]] = {name: [] for name in _WORDS if name in header}
+    spellings: dict[tuple[str, str], str] = {}
     interned: dict[str, str] = {}  # one string a name, however many rows bear it
     for line, row in rows:
         if len(row) != len(header):
             raise _wrong(path, line, f"{len(header)} columns as in the header", str(len(row)))
+        if [text.strip() for text in row] == header:
+            fix = "Tables were joined with their headers: leave one header, in the first line."
+            raise FileFormatError(path, where=f"line {line}", expected="a box", got="the header again", fix=fix)
         for name, text in zip(header, row, strict=True):
-            text = text.strip()
+            written, text = text, text.strip()
             if name in texts:
-                if not text:
-                    raise _wrong(path, line, f"a {name}", "an empty cell")
+                if not text or not text.isprintable():
+                    raise _wrong(path, line, f"a {name} on one line", repr(text[:40]) if text else "an empty cell")
+                if name in ("sequence", "frame") and spellings.setdefault((name, text), written) != written:
+                    expected = f"each {name} spelt in one way: blanks about a name are no part of it"
+                    raise _wrong(path, line, expected, f"{written!r} and {spellings[name, text]!r}")
                 texts[name].append(interned.setdefault(text, text))
             else:
                 numbers[name].append(_number(path, line, name, text))
     return _assemble(path, texts, {name: np.array(values, dtype=np.float64) for name, values in numbers.items()})
+
+
+def zeros_note(names: Iterable[str], others: Iterable[str]) -> str:
+    """That names differ from others by zeros before them alone, as a sentence; empty where they do not.
+
+    >>> zeros_note(["7"], ["0007", "0008"])
+    "Some differ by leading zeros alone, such as '7' and '0007': a spreadsheet drops them."
+    """
+    by_number = {name.lstrip("0"): name for name in others if name.isascii() and name.isdigit()}
+    for name in names:
+        other = by_number.get(name.lstrip("0")) if name.isascii() and name.isdigit() else None
+        if other is not None and other != name:
+            return f"Some differ by leading zeros alone, such as {name!r} and {other!r}: a spreadsheet drops them."
+    return ""
 
 
 def write_boxes_csv(path: Path | str, rows: BoxRows) -> None:
@@ -190,7 +213,7 @@ def _decoded(data: bytes, path: Path | str) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        actual = f"byte 0x{error.object[error.start]:02x}"
+        actual = f"byte 0x{error.object[error.start]:02x}: {plain(error)}"
         raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", got=actual) from None
 
 
@@ -234,7 +257,7 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
     if not text and name in (*_OPTIONAL, *_VELOCITY):
         return -1.0 if name in _COUNTS else math.nan
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
@@ -244,8 +267,8 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
     most = _MOST.get(name, _FASTEST_M_S)
     if name in (*_NUMBERS, *_VELOCITY, _DOPPLER) and abs(value) > most:
         raise _wrong(path, line, f"a number within {most:g} as {name}", text[:40])
-    if name in _COUNTS and (value != round(value) or abs(value) > 2**53):
-        raise _wrong(path, line, f"a whole number as {name}", text[:40])
+    if name in _COUNTS and (value != round(value) or abs(value) >= MOST_COUNT):
+        raise _wrong(path, line, f"a whole number as {name}, below 2^53", text[:40])
     return value
 
 
@@ -364,6 +387,9 @@ def fields_of(table: BoxColumns) -> Fields:
         fields["score"] = None
     # Whole numbers as pandas leaves them where one is missing: -1 there.
     counts = {name: numbers[name] for name in _COUNT_COLUMNS if name in names}
+    for name, count in counts.items():
+        if np.abs(count[~np.isnan(count)]).max(initial=0) >= MOST_COUNT:
+            raise ConfigError(f"Boxes: expected whole numbers below 2^53 as {name}, got one of {count.max():.0f}")
     return fields | {name: np.where(np.isnan(count), -1, count).astype(np.int64) for name, count in counts.items()}
 
 

@@ -48,6 +48,7 @@ def read_bin(
         FileFormatError: If the file is empty, too large, no whole number of points, or not finite.
     """
     data = read_bytes(path, max_bytes=max_bytes)
+    _refuse_other_cloud(path, data)
     points, rest = divmod(len(data), 4 * columns)
     if points == 0 or rest:
         raise FileFormatError(
@@ -71,6 +72,16 @@ def read_bin(
             fix="Remove them from the file; in Python on_nan='drop' leaves them out." if on_nan == "error" else "",
         )
     return rows if finite.all() else rows[finite]
+
+
+def _refuse_other_cloud(path: Path | str, data: bytes) -> None:
+    """Refuse a cloud of another format under the name of a ``.bin``: its bytes would be read as float32."""
+    marks = {b"\x93NUMPY": ".npy", b"# .PCD": ".pcd", b"VERSION": ".pcd", _MAGIC: ".ffcloud", b"ply": ".ply"}
+    suffix = next((suffix for mark, suffix in marks.items() if data.startswith(mark)), "")
+    if suffix:
+        name = {".pcd": "a PCD", ".ply": "a PLY"}.get(suffix, f"a file of the kind {suffix}")
+        fix = f"Give it its own suffix, {suffix}."
+        raise FileFormatError(path, where="byte 0", expected="float32 without a header", got=name, fix=fix)
 
 
 def write_bin(path: Path | str, rows: Float32[np.ndarray, "n c"]) -> None:
@@ -235,6 +246,7 @@ def bin_columns(path: Path | str, *, max_bytes: int = MAX_BYTES) -> BinColumns:
         FileFormatError: If no number of columns fits, or several fit alike.
     """
     data = read_bytes(path, max_bytes=max_bytes)
+    _refuse_other_cloud(path, data)
     values = np.frombuffer(data[: len(data) // 4 * 4], dtype="<f4")
     fitting = [count for count in POSSIBLE if len(data) % (4 * count) == 0 and len(data)]
     if not fitting:

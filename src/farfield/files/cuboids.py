@@ -11,6 +11,7 @@ from farfield.files.json_text import finite
 
 Value = str | float | bool
 _FARTHEST_M, _LEAST_M, _LARGEST_M = 1e5, 1e-4, 1e3
+_MOST_YAW, _MOST_TILT = 4 * math.pi, 0.5  # radians
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -64,20 +65,51 @@ def xyz(value: Any, path: Path | str, where: str, name: str) -> list[float]:
 
 
 def checked(
-    centre_m: Sequence[float], size_m: Sequence[float], yaw_rad: float, path: Path | str, where: str
+    centre_m: Sequence[float],
+    size_m: Sequence[float],
+    yaw_rad: float,
+    path: Path | str,
+    where: str,
+    *,
+    tilt_rad: Sequence[float] = (),
 ) -> tuple[float, float, float, float, float, float, float]:
     """A box of sensible numbers.
 
+    Args:
+        centre_m: x, y, z.
+        size_m: Length, width, height.
+        yaw_rad: Heading.
+        path: The file, for messages.
+        where: The place in it.
+        tilt_rad: Roll and pitch, which boxes here do not have: those of a slope are left out.
+
     Raises:
-        FileFormatError: If a size is not positive or beyond a kilometre, or the place beyond 100 km.
+        FileFormatError: If a size is not positive or beyond a kilometre, the place beyond 100 km, the yaw beyond two
+            turns, or the box does not stand upright.
     """
     if not all(_LEAST_M <= size <= _LARGEST_M for size in size_m):
         raise FileFormatError(path, where=where, expected="positive sizes in metres", got=repr(list(size_m)))
-    if not all(abs(coordinate) <= _FARTHEST_M for coordinate in centre_m) or not abs(yaw_rad) <= _LARGEST_M:
-        raise FileFormatError(path, where=where, expected="a place and a yaw", got=repr([*centre_m, yaw_rad]))
+    if not all(abs(coordinate) <= _FARTHEST_M for coordinate in centre_m):
+        raise FileFormatError(path, where=where, expected="a place within 100 km", got=repr(list(centre_m)))
+    check_yaw(yaw_rad, path, where)
+    if not all(abs(angle) <= _MOST_TILT for angle in tilt_rad):
+        expected = f"a box that stands upright: roll and pitch within {_MOST_TILT} rad"
+        fix = "Turn it about z alone, and exchange its sizes where it lies on a side."
+        raise FileFormatError(path, where=where, expected=expected, got=repr(list(tilt_rad)), fix=fix)
     x, y, z = centre_m
     length, width, height = size_m
     return x, y, z, length, width, height, yaw_rad
+
+
+def check_yaw(yaw_rad: float, path: Path | str, where: str) -> None:
+    """Refuse an angle of degrees: one beyond two turns of radians.
+
+    Raises:
+        FileFormatError: If it is one.
+    """
+    if not abs(yaw_rad) <= _MOST_YAW:
+        fix = "Degrees are radians times 57.29578; write radians from -pi to pi."
+        raise FileFormatError(path, where=where, expected="a yaw in radians", got=f"{yaw_rad:g}", fix=fix)
 
 
 def word(value: Any, path: Path | str, where: str, name: str) -> str:

@@ -35,11 +35,16 @@ def parse_datumaro(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
         raise FileFormatError(path, where="the root", expected="an object with items", got=repr(content)[:80])
     names = class_names(content, path)
     cuboids: list[CuboidEntry] = []
+    filled: set[str] = set()
     for number, item in enumerate(items):
         entries = item.get("annotations", []) if isinstance(item, dict) else None
         if not isinstance(entries, list):
             raise FileFormatError(path, where=f"item {number}", expected="annotations", got=repr(item)[:80])
         frame = frame_name(item, path, f"item {number}")
+        if entries and frame in filled:
+            expected = "each cloud of one name, in one item"
+            raise FileFormatError(path, where=f"item {number}", expected=expected, got=f"{frame!r} twice")
+        filled |= {frame} if entries else set()
         for index, entry in enumerate(entries):
             where = f"item {number}, annotation {index}"
             if not isinstance(entry, dict):
@@ -65,8 +70,12 @@ def class_names(content: Mapping[str, Any], path: Path | str) -> list[str]:
 
 
 def frame_name(item: Mapping[str, Any], path: Path | str, where: str) -> str:
-    """An item's id without folders and suffix."""
-    return PurePosixPath(word(item.get("id"), path, where, "id")).name.removesuffix(".pcd") or "."
+    """The name of an item's cloud without folders and suffix; of one that names no cloud its id's."""
+    name = word(item.get("id"), path, where, "id")
+    cloud = item.get("point_cloud")
+    file = cloud.get("path") if isinstance(cloud, Mapping) else None
+    last = PurePosixPath((file if isinstance(file, str) and file.strip() else name).replace("\\", "/")).name
+    return last[:-4] if last.lower().endswith((".pcd", ".bin")) and len(last) > 4 else last or "."
 
 
 def _cuboid(entry: Mapping[str, Any], frame: str, names: Sequence[str], path: Path | str, where: str) -> Cuboid:
@@ -79,7 +88,7 @@ def _cuboid(entry: Mapping[str, Any], frame: str, names: Sequence[str], path: Pa
     return Cuboid(
         frame=frame,
         label=names[number],
-        box=checked(centre, size, turn[2], path, where),
+        box=checked(centre, size, turn[2], path, where, tilt_rad=turn[:2]),
         track=str(int(track)) if isinstance(track, float) and track >= 0 else track if isinstance(track, str) else "",
         attributes=attributes,
     )

@@ -237,6 +237,10 @@ def _numbers(
     path: Path | str, rows: Sequence[Sequence[str]], lines: Sequence[int], *, columns: int = 0
 ) -> Float[np.ndarray, "n columns"]:
     """Turn rows of equal width into finite numbers, or name the first line that has another."""
+    for row, line in zip(rows, lines, strict=True):
+        strange = next((word for word in row if "_" in word), None)  # which Python takes for a digit's mark
+        if strange is not None:
+            raise _wrong(path, line, "a number", repr(strange[:40]))
     try:
         values = np.array(rows, dtype=np.float64) if rows else np.zeros((0, columns))
     except ValueError:

@@ -67,23 +67,25 @@ def _cuboid(entry: Mapping[str, Any], frame: str, label: str, uid: str, path: Pa
         expected = "val with 10 numbers (a quaternion) or 9 (Euler angles)"
         raise FileFormatError(path, where=where, expected=expected, got=repr(value)[:80])
     row = numbers(value, len(value), path, where, "val")
-    yaw = row[5] if len(row) == 9 else _yaw(row[3:7], path, where)
+    roll, pitch, yaw = row[3:6] if len(row) == 9 else _angles(row[3:7], path, where)
     return Cuboid(
         frame=frame,
         label=label,
-        box=checked(row[:3], row[-3:], yaw, path, where),
+        box=checked(row[:3], row[-3:], yaw, path, where, tilt_rad=(roll, pitch)),
         track=word(uid, path, where, "uid"),
         attributes=_attributes(entry),
     )
 
 
-def _yaw(quaternion: Sequence[float], path: Path | str, where: str) -> float:
-    """Direction of the turned x axis seen from above."""
+def _angles(quaternion: Sequence[float], path: Path | str, where: str) -> tuple[float, float, float]:
+    """Roll, pitch and yaw: yaw is the direction of the turned x axis seen from above."""
     x, y, z, w = quaternion
     norm = x * x + y * y + z * z + w * w
     if not 1e-6 < norm < 1e6:
         raise FileFormatError(path, where=where, expected="a quaternion", got=repr(list(quaternion)))
-    return math.atan2(2 * (x * y + z * w), norm - 2 * (y * y + z * z))
+    roll = math.atan2(2 * (w * x + y * z), norm - 2 * (x * x + y * y))
+    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x) / norm)))
+    return roll, pitch, math.atan2(2 * (x * y + z * w), norm - 2 * (y * y + z * z))
 
 
 def _attributes(entry: Mapping[str, Any]) -> dict[str, str | float | bool]:

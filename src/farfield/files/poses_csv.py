@@ -112,6 +112,8 @@ def _check(path: Path, line: int, row: Sequence[str]) -> None:
     if len(row) != len(COLUMNS):
         raise FileFormatError(path, where=where, expected=f"{len(COLUMNS)} columns", got=f"{len(row)}")
     try:
+        if "_" in "".join(row[3:11]):  # Python takes 1_0 for 10
+            raise ValueError
         numbers = np.array(row[4:11], dtype=np.float64)
         time_fits = row[3] == "" or abs(int(row[3])) < 1 << 63
     except ValueError:

@@ -1,7 +1,8 @@
 """Lists of time stamps as text, read in blocks into whole nanoseconds; no number passes through floating point.
 
 Forms: one number a line, with or without a header; a column of a CSV with a header; KITTI raw's dates
-(``2011-09-26 13:02:25.964389445``: local time without a zone, taken as UTC); RADIATE's ``Frame: 000001 Time: s.ns``.
+(``2011-09-26 13:02:25.964389445``: local time without a zone, taken as UTC), also with a zone (``Z``, ``+02:00``);
+RADIATE's ``Frame: 000001 Time: s.ns``.
 """
 
 import re
@@ -21,7 +22,7 @@ BLOCK_BYTES = 1 << 20
 LONGEST_LINE = 4096
 _DIGITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 _NUMBER = re.compile(rb"-?\d{1,19}(?:\.\d{1,30})?\s*$")
-_DATE = re.compile(rb"\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?\s*$")
+_DATE = re.compile(rb"\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?(Z|[+-]\d\d:?\d\d)?\s*$")
 _RADIATE = re.compile(rb"Frame: \d{1,9} Time: \d{1,12}\.\d{1,9}\s*$")
 _COLUMNS = ("time_ns", "timestamp_ns", "stamp_ns", "time_us", "time_ms", "time_s", "timestamp", "stamp", "time", "t")
 _LATEST_NS = 5 * 10**18 - 1  # leaves room to add a tolerance
@@ -41,6 +42,7 @@ class StampList:
         guessed: Whether the unit was guessed from the size of the first number.
         header: Whether the first line is a header.
         column: The column of a CSV.
+        zoned: Whether dates have a zone.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class StampList:
     guessed: bool = False
     header: bool = False
     column: int = 0
+    zoned: bool = False
 
 
 def recognise_stamps(path: Path | str, *, unit: Unit = "auto") -> StampList | None:
@@ -66,8 +69,8 @@ def recognise_stamps(path: Path | str, *, unit: Unit = "auto") -> StampList | No
         first, second = handle.readline(LONGEST_LINE), handle.readline(LONGEST_LINE)
     if _RADIATE.match(first):
         return StampList(path, "radiate")
-    if _DATE.match(first):
-        return StampList(path, "date")
+    if (date := _DATE.match(first)) is not None:
+        return StampList(path, "date", zoned=date[1] is not None)
     if _NUMBER.match(first):
         return StampList(path, "number", *_unit(path, "", first, unit))
     names = first.decode("utf-8", "replace").strip().lower().split(",")
@@ -113,7 +116,7 @@ def read_stamps(stamps: StampList) -> Iterator[Int64[np.ndarray, " _"]]:
         return
     for number, block in _blocks(stamps.path, stamps.header):
         if stamps.form == "date":
-            yield _dates(stamps.path, number, block)
+            yield _dates(stamps, number, block)
         elif stamps.form == "csv":
             yield _numbers(stamps, number, _column(stamps, number, block))
         else:
@@ -203,12 +206,22 @@ def _column(stamps: StampList, number: int, block: bytes) -> bytes:
     return b"\n".join(row[stamps.column].strip() if row != [b""] else b"" for row in rows) + b"\n"
 
 
-def _dates(path: Path, number: int, block: bytes) -> Stamps:
-    lines = block.split(b"\n")[:-1]
-    for row, line in enumerate(lines):
-        if line.strip() and not _DATE.match(line):
+def _dates(stamps: StampList, number: int, block: bytes) -> Stamps:
+    path, texts, offsets_ns = stamps.path, [], []
+    for row, line in enumerate(block.split(b"\n")[:-1]):
+        if not line.strip():
+            continue
+        date = _DATE.match(line)
+        if date is None:
             raise _wrong(path, number + row, "a date such as 2011-09-26 13:02:25.964389445", repr(line[:60]))
-    texts = [line.strip().decode("ascii").replace(" ", "T") for line in lines if line.strip()]
+        if (date[1] is not None) != stamps.zoned:
+            expected = "a zone in every line, or in none, as in the first"
+            raise _wrong(path, number + row, expected, repr(line.strip()[:60].decode("ascii")))
+        zone = (date[1] or b"Z").decode("ascii").replace(":", "")
+        text = line.strip().decode("ascii").replace(" ", "T")
+        texts.append(text.removesuffix((date[1] or b"").decode("ascii")))
+        minutes = 0 if zone == "Z" else int(zone[1:3]) * 60 + int(zone[3:])
+        offsets_ns.append((-1 if zone.startswith("-") else 1) * minutes * 60_000_000_000)
     try:
         dates = np.array(texts, dtype="datetime64[ns]")
     except ValueError as error:
@@ -216,7 +229,7 @@ def _dates(path: Path, number: int, block: bytes) -> Stamps:
     outside = [text for text in texts if not "1823" < text[:4] < "2116"]
     if outside:
         raise _wrong(path, number, "dates between the years 1823 and 2116", outside[0])
-    return dates.astype(np.int64)
+    return dates.astype(np.int64) - np.array(offsets_ns, dtype=np.int64)
 
 
 def _wrong(path: Path, line: int, expected: str, actual: str) -> FileFormatError:

@@ -94,7 +94,7 @@ def _cuboid(figure: Mapping[str, Any], objects: Mapping[str, Any], path: Path | 
     tags = [tag for tag in value if isinstance(tag, dict)] if isinstance(value, list) else []
     return Cuboid(
         label=word(objects[key].get("classTitle"), path, where, "classTitle"),
-        box=checked(centre, size, turn[2], path, where),
+        box=checked(centre, size, turn[2], path, where, tilt_rad=turn[:2]),
         track=key,
         attributes=attributes_of({str(tag.get("name")): tag.get("value") for tag in tags}),
     )

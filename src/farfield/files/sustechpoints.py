@@ -46,7 +46,7 @@ def _cuboid(entry: Any, path: Path | str, where: str) -> Cuboid:
     track, remark = entry.get("obj_id"), entry.get("obj_attr")
     return Cuboid(
         label=word(entry.get("obj_type"), path, where, "obj_type"),
-        box=checked(centre, size, turn[2], path, where),
+        box=checked(centre, size, turn[2], path, where, tilt_rad=turn[:2]),
         track="" if track in (None, "", -1, "-1") else word(track, path, where, "obj_id"),
         attributes={"obj_attr": remark} if isinstance(remark, str) and remark else {},
     )

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 Key = tuple[str, str]
 """(sequence, frame): what pairs predictions with annotations."""
+_JUMP_M, _JUMP_M_S = 100.0, 100.0
 BREAK_PERIODS = 5.0
 """An interval longer than so many median ones begins a new drive."""
 
@@ -51,3 +52,27 @@ class Drive:
             *(f"a break of {steps[row] / 1e9:.1f} s after frame {row}" for row in np.flatnonzero(steps > limit)),
         ]
         return tuple(issue for issue in issues if issue)
+
+    def odd_poses(self) -> tuple[str, ...]:
+        """What no car does by its poses, in words; nothing where they are not known or all is well.
+
+        A drive upside down, as quaternions with w first that are read as x first put it, and jumps: ways of more than
+        100 m in a step, or faster than 100 m/s.
+        """
+        if self.world_T_frame is None or not len(self.world_T_frame):
+            return ()
+        issues = []
+        if np.median(self.world_T_frame[:, 2, 2]) < -0.5:
+            issues.append("the poses are upside down (z points down in the world): do their quaternions begin with w?")
+        ways_m = np.linalg.norm(np.diff(self.world_T_frame[:, :3, 3], axis=0), axis=1)
+        if len(ways_m):
+            limits_m = np.full(len(ways_m), max(_JUMP_M, 10 * float(np.quantile(ways_m, 0.25, method="lower"))))
+            if self.times_ns is not None:
+                seconds = np.diff(self.times_ns) / 1e9
+                limits_m = np.where(seconds > 0, _JUMP_M_S * np.maximum(seconds, 0.05), limits_m)
+            jumps = np.flatnonzero(ways_m > limits_m)
+            if len(jumps):
+                first = int(jumps[0])
+                after = self.keys[first + 1][1] if self.keys else first + 1
+                issues.append(f"the poses jump {len(jumps)} times, first by {ways_m[first]:.0f} m at frame {after}")
+        return tuple(issues)

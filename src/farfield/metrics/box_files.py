@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from farfield.errors import ConfigError, FileFormatError
-from farfield.files.boxes_csv import BoxRows, read_boxes_csv
+from farfield.files.boxes_csv import BoxRows, read_boxes_csv, zeros_note
 from farfield.files.coordinates import read_coordinates
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
 from farfield.files.nuscenes import read_results_in
@@ -71,7 +71,6 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     notes += _mappings_beside(Path(predictions), Path(labels))
     for word, side in (("predicted", predicted), ("annotated", annotated)):
         notes += wild_headings(word, *side.headings)
-    notes += _without_image_boxes(predicted) if format == "kitti" else []
     _name_coordinates(predicted, Path(predictions), reference)
     _name_coordinates(annotated, Path(labels), reference)
     return Detections(
@@ -258,23 +257,6 @@ def _share_sequence(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[st
         )
 
 
-def _without_image_boxes(predicted: _SideBoxes) -> list[str]:
-    """A note on KITTI's predictions that have no place in the image."""
-    heights = [
-        columns["box_px"][:, 3] - columns["box_px"][:, 1]
-        for columns in predicted.details.values()
-        if "box_px" in columns
-    ]
-    height_px = np.concatenate(heights) if heights else np.zeros(0)
-    lacking = int((height_px <= 0).sum())
-    if lacking <= 0.5 * len(height_px) or not len(height_px):
-        return []
-    return [
-        f"{lacking} of {len(height_px)} predictions have no 2D box in the image: KITTI's rules leave out predictions "
-        "lower than 25 or 40 pixels, so protocol kitti does not count them; dds and nuscenes do"
-    ]
-
-
 def _name_coordinates(side: _SideBoxes, path: Path, reference: str) -> None:
     """Take the coordinates that stand beside the files, and those that were given for files which name none."""
     side.stands_in(path, read_coordinates(path) if path.is_dir() else "")
@@ -287,6 +269,12 @@ def _agreed(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> s
     """The coordinates of both sides."""
     predicted_in, annotated_in = predicted.reference, annotated.reference
     if predicted_in and annotated_in and predicted_in != annotated_in:
+        if "camera" in predicted_in or "camera" in annotated_in:
+            raise ConfigError(
+                f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: their "
+                "boxes do not lie in one space. Name the data set that was predicted on in the place of the labels "
+                "(farfield score PREDICTIONS DATASET --format kitti), or predict on the data set of the labels"
+            )
         raise ConfigError(
             f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: their boxes "
             f"do not lie in one space. Write one anew (farfield predict ... --reference {annotated_in}, or farfield "
@@ -317,12 +305,15 @@ def _add_empty_frames(predicted: dict[Key, Boxes], annotated: dict[Key, Boxes], 
     if added and len(added) == len(predicted) and any(len(boxes) for boxes in annotated.values()):
         raise ConfigError(
             f"expected predictions and labels to share frames, got none in common: predictions hold {added[0]}, "
-            f"labels {next(iter(annotated))}. Frame names must be the same text in both."
+            f"labels {next(iter(annotated))}. Frame names must be the same text in both. "
+            f"{zeros_note((frame for _, frame in predicted), (frame for _, frame in annotated))}".rstrip()
         )
+    zeros = zeros_note([frame for _, frame in added], [frame for _, frame in annotated])
     for key in added:
         annotated[key] = Boxes.empty()
     if added:
-        notes.append(f"{len(added)} frames have predictions but no line of labels; they count as annotated empty")
+        note = f"{len(added)} frames have predictions but no line of labels; they count as annotated empty"
+        notes.append(f"{note}. {zeros}" if zeros else note)
 
 
 def _groups(*columns: Shaped[np.ndarray, " n"]) -> list[tuple[tuple[str, ...], np.ndarray]]:

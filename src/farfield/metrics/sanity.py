@@ -96,10 +96,10 @@ def _repeated(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]
         if first != key and not np.array_equal(_places(annotated[first]), _places(annotated[key])):
             pairs.append((first, key))
     if len(pairs) >= max(2, 0.05 * len(filled)):
-        earlier, later = (" ".join(filter(None, pair)) for pair in pairs[0])
+        original, copy = (" ".join(filter(None, name)) for name in pairs[0])
         yield (
             f"{len(pairs)} of {len(filled)} frames have the predicted boxes of another frame to the digit, such as "
-            f"{later} those of {earlier}, where the annotated boxes differ: was one frame's result written for several?"
+            f"{copy} those of {original}, where the annotated boxes differ: was one frame's result written for several?"
         )
 
 

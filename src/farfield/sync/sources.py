@@ -137,7 +137,7 @@ def _source(stamps: StampList, data: Path | None = None) -> StampSource:
         stems = sorted({path.stem for path in data.iterdir() if path.is_file()})
         labels = stems if len(stems) == sum(map(len, read_stamps(stamps))) else None
     note = f"unit taken as {stamps.unit}, by the size of the first number" if stamps.guessed else ""
-    note = "local time without a zone, taken as UTC" if stamps.form == "date" else note
+    note = "local time without a zone, taken as UTC" if stamps.form == "date" and not stamps.zoned else note
     return StampSource(blocks=partial(read_stamps, stamps), labels=labels, note=note)
 
 

@@ -14,7 +14,34 @@ GAP_PERIODS = 1.5
 """An interval longer than so many median periods has lost messages in it."""
 MOST_GAPS = 1000
 
+_CLOCK_OFFSETS_S = {18: "GPS and UTC", 19: "GPS and TAI", 37: "TAI and UTC"}
+_OFFSET_TOLERANCE_S = 0.25
+_WRAP_NS = {f"32 bit{words}": 2**32 * scale for words, scale in ((" of nanoseconds", 1), (" of microseconds", 1000))}
+
 Stamps = Int64[np.ndarray, " _"]
+
+
+def clock_offset_note(seconds: float) -> str:
+    """Which two time scales differ by as much, in words; empty where none do.
+
+    >>> clock_offset_note(-18.05), clock_offset_note(3.0)
+    ('GPS and UTC differ by 18 s: were both used?', '')
+    """
+    whole = round(abs(seconds))
+    if whole not in _CLOCK_OFFSETS_S or abs(abs(seconds) - whole) > _OFFSET_TOLERANCE_S:
+        return ""
+    return f"{_CLOCK_OFFSETS_S[whole]} differ by {whole} s: were both used?"
+
+
+def wrapped_note(set_back_ns: int, period_ns: int | None) -> str:
+    """Of how many bits a counter is that started anew, in words; empty where stamps were set back by another time.
+
+    >>> wrapped_note(2**32 - 100_000_000, 100_000_000)
+    'as a counter of 32 bit of nanoseconds that starts anew'
+    """
+    slack = 3 * (period_ns or 0)
+    names = [name for name, wrap in _WRAP_NS.items() if 0 <= wrap - set_back_ns <= slack]
+    return f"as a counter of {names[0]} that starts anew" if names else ""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,6 +57,7 @@ class StreamStats:
             not bias.
         duplicates: Stamps that equal the one before.
         backwards: Stamps that are earlier than the one before.
+        set_back_ns: By how much at most.
         gaps: Intervals longer than :data:`GAP_PERIODS` periods.
         lost: Messages that would fill the gaps.
         longest_gap_ns: Longest interval; None for fewer than two stamps.
@@ -45,6 +73,7 @@ class StreamStats:
     tick_ns: float | None
     duplicates: int
     backwards: int
+    set_back_ns: int
     gaps: int
     lost: int
     longest_gap_ns: int | None
@@ -65,6 +94,7 @@ class StreamCounter:
 
     def __init__(self) -> None:
         self.count = self.duplicates = self.backwards = self.gaps = self.lost = self.longest = self.step = 0
+        self.set_back = 0
         self.covered = self.ticks = 0
         self.first: int | None = None
         self.last: int | None = None
@@ -82,6 +112,7 @@ class StreamCounter:
         steps = np.diff(with_before)
         self.duplicates += int((steps == 0).sum())
         self.backwards += int((steps < 0).sum())
+        self.set_back = max(self.set_back, -int(steps.min(initial=0)))
         self.count += len(block)
         self.before = int(block[-1])
         highest = np.maximum.accumulate(block if self.last is None else np.concatenate([[self.last], block]))
@@ -117,6 +148,7 @@ class StreamCounter:
             tick_ns=self.covered / self.ticks if self.ticks else None,
             duplicates=self.duplicates,
             backwards=self.backwards,
+            set_back_ns=self.set_back,
             gaps=self.gaps,
             lost=self.lost,
             longest_gap_ns=self.longest or None,
@@ -171,4 +203,6 @@ def apart(streams: Mapping[str, StreamStats], reference: str, tolerance_ns: int)
                 f"{name} does not overlap with {reference}: it begins {abs(by_s):.3f} s {relation} it and shares no "
                 "moment; its clock is another one, or it was recorded apart"
             )
+            note = clock_offset_note(by_s)
+            reasons[name] += f". {note}" if note else ""
     return reasons

@@ -15,7 +15,7 @@ from farfield.files.ascii_table import ROWS_AT_ONCE, Text, integers, join
 from farfield.files.atomic import open_atomic
 from farfield.sync.clocks import MAX_PAIRS, ClockModel, ExchangeClock, fit_clock
 from farfield.sync.sources import RecordedStreams
-from farfield.sync.stamps import StreamCounter, StreamStats, apart
+from farfield.sync.stamps import StreamCounter, StreamStats, apart, wrapped_note
 from farfield.sync.streaming import MatchBlock, match_blocks
 
 SPEED_M_S = 30.0
@@ -346,7 +346,11 @@ def _findings(
         if health.duplicates:
             findings.append(f"{name}: {health.duplicates} stamps stand there twice")
         if health.backwards:
-            findings.append(f"{name}: {health.backwards} stamps run backwards and are left out until it is later again")
+            wrapped = wrapped_note(health.set_back_ns, health.period_ns)
+            findings.append(
+                f"{name}: {health.backwards} stamps run backwards{f', {wrapped},' if wrapped else ''} and are left out "
+                "until it is later again"
+            )
         if health.gaps and health.longest_gap_ns is not None and health.period_ns:
             longest = health.longest_gap_ns / 1e9
             findings.append(f"{name}: {health.gaps} gaps, about {health.lost} messages lost, longest {longest:.3f} s")

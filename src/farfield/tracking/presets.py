@@ -8,6 +8,7 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from farfield.errors import ConfigError, plain
+from farfield.files.yaml_text import plain_yaml
 
 _CHOICES = {
     "similarity": ("iou", "giou", "distance"),
@@ -251,7 +252,7 @@ def with_options(settings: TrackerSettings, options: Iterable[str]) -> TrackerSe
         if not equals:
             raise ConfigError(f"tracker: expected an option of the form name=value, got {option!r}")
         try:
-            changes[name] = yaml.safe_load(value)
+            changes[name] = plain_yaml(value)
         except yaml.YAMLError as error:
             raise ConfigError(f"tracker: {name}: expected a value as YAML writes it, got {value!r}") from error
     current = {option.name: getattr(settings, option.name) for option in fields(settings)}

@@ -76,6 +76,28 @@ def assumption_notes(drives: Sequence[Timeline], *, seconds: bool, ego_motion: b
     return notes
 
 
+def input_notes(detections: Detections, *, ego_motion: bool, least_score: float | None) -> list[str]:
+    """What in the detections and their drives' poses makes tracks wrong, a sentence each.
+
+    Args:
+        detections: The detections.
+        ego_motion: Whether poses are taken.
+        least_score: As of :class:`farfield.tracking.presets.TrackerSettings`.
+    """
+    drives = (detections.drives or ()) if ego_motion else ()
+    notes = [f"{drive.name}: {issue}" for drive in drives for issue in drive.odd_poses()]
+    highest = max(
+        (float(boxes.score.max(initial=-np.inf)) for boxes in detections.boxes.values() if boxes.score is not None),
+        default=-np.inf,
+    )
+    if least_score is not None and np.isfinite(highest) and highest < least_score:
+        notes.append(
+            f"no detection has a score of {least_score:g} or more (least_score, --least-score): the highest is "
+            f"{highest:g}, and nothing is tracked"
+        )
+    return notes
+
+
 def unreported_note(
     drives: Sequence[Timeline], *, boxes: int, reported: int, min_hits: int, unsure_hits: int, sure_score: float | None
 ) -> list[str]:

@@ -31,7 +31,7 @@ from farfield.tracking.kalman import (
     update_doppler,
 )
 from farfield.tracking.presets import TrackerSettings, preset
-from farfield.tracking.timeline import Timeline, assumption_notes, is_number, timelines, unreported_note
+from farfield.tracking.timeline import Timeline, assumption_notes, input_notes, is_number, timelines, unreported_note
 
 _TICK_S = 1e-6  # sums of steps are no exact multiples
 
@@ -87,6 +87,7 @@ def track(
     notes = assumption_notes(
         drives, seconds=settings.time == "seconds", ego_motion=settings.ego_motion, step_s=settings.step_s
     )
+    notes += input_notes(detections, ego_motion=settings.ego_motion, least_score=settings.least_score)
     notes += unreported_note(
         drives,
         boxes=sum(map(len, detections.boxes.values())),

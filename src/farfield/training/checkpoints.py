@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 import torch
 from torch import Tensor, nn
@@ -115,8 +115,7 @@ def _check_archive(path: Path, file: BinaryIO) -> None:
 
 
 STEPS = "training.steps"
-_FREE = (STEPS, "training.accelerator")
-"""Settings of an experiment in which a run that goes on may differ."""
+"""The one setting of an experiment in which a run that goes on may differ."""
 
 
 @dataclass(frozen=True)
@@ -243,14 +242,15 @@ def resume_optimizer(path: Path, state: Mapping[str, Any], optimizer: torch.opti
         got = ", ".join(str(len(part)) if isinstance(part, list) else "none" for part in numbers) or "no group"
         raise FileFormatError(path, where="optimizer, param_groups", expected=expected, got=got, fix=_ANEW)
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
-    by_number = dict(zip((number for group in own for number in group["params"]), parameters, strict=True))
+    by_number: dict[Any, Tensor] = dict(
+        zip((number for group in own for number in group["params"]), parameters, strict=True)
+    )
     for number, values in moments.items():
         where, parameter = f"optimizer, state, {number}", by_number.get(number)
         if parameter is None or not isinstance(values, Mapping):
             expected, got = f"moments of a parameter from 0 to {len(by_number) - 1}", type(values).__name__
             raise FileFormatError(path, where=where, expected=expected, got=got, fix=_ANEW)
-        like: dict[str, Tensor] = {"step": torch.zeros(()), **dict.fromkeys(_MOMENTS, cast(Tensor, parameter))}
-        _check_alike(path, where, values, like)
+        _check_alike(path, where, values, {"step": torch.zeros(()), **dict.fromkeys(_MOMENTS, by_number[number])})
         for name, tensor in values.items():
             if not bool(torch.isfinite(tensor).all()) or (name != _MOMENTS[0] and bool((tensor < 0).any())):
                 expected = "finite numbers" if name == _MOMENTS[0] else "finite numbers of 0 or more"
@@ -261,7 +261,7 @@ def resume_optimizer(path: Path, state: Mapping[str, Any], optimizer: torch.opti
 def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, Any], step: int) -> None:
     """Refuse another experiment or other data. More steps than before are the same run, prolonged."""
     before, now = dict(flatten(_current_names(saved.get("experiment")))), dict(flatten(provenance.get("experiment")))
-    names = [name for name in {**before, **now} if before.get(name) != now.get(name) and name not in _FREE]
+    names = [name for name in {**before, **now} if before.get(name) != now.get(name) and name != STEPS]
     # Earlier versions said of any data that they were simulated, if the experiment had a way to; fingerprints count
     names = [name for name in names if ".simulate" not in name or now.get(name) is not None]
     if names:

@@ -239,6 +239,12 @@ class TrainingConfig(_Settings):
             raise ValueError(f"expected start_from or start.weights, which are one; got {weights} and {start}")
         return {**others, "start": {**start, "weights": weights}}
 
+    @model_validator(mode="after")
+    def _learns(self) -> "TrainingConfig":
+        if self.steps == 0 and self.start is None:
+            raise ValueError("steps: expected at least 1, got 0: without start the weights would be random ones")
+        return self
+
     @model_serializer(mode="wrap")
     def _serialised(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
         """All settings; start and validation only where there is one, so that runs without are recognised as before."""

@@ -6,6 +6,7 @@ workers, sees exactly the same samples.
 
 import hashlib
 import signal
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -28,7 +29,7 @@ from farfield.training.augmentation import LAG, Points, Progress, RollingBank, a
 from farfield.training.config import UNCHANGED, AugmentationConfig
 from farfield.training.method import LABELLED, Batch, Stream
 from farfield.training.weather import WeatherOverlay, check_weather, draw_weather, read_with
-from farfield.vocabulary.classes import closest_class
+from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class
 
 _ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # keys of the generators; 4 and 5 are the loop's and the methods'
 _LOOKED_AT, _LEAST_BOXES = 10, 20  # frames in which no box has points, and their boxes, that stop a training
@@ -36,6 +37,9 @@ _FIRST = ("x_m", "y_m", "z_m", "lag_s")
 
 Binding = Mapping[str, str]
 """Which of a frame's clouds each of the network's inputs reads."""
+
+
+_NAMES_LOOKED_AT = 200
 
 
 class TrainingSample(NamedTuple):
@@ -231,6 +235,15 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         self._weigh(progress)
         if self._bank is not None:
             self._bank.at(position, progress)
+
+    def names_left_out(self) -> dict[str, int]:
+        """Names that are neither trained nor of our vocabulary, with the number of their boxes in the first frames."""
+        names: Counter[str] = Counter()
+        for index in range(min(len(self.data), _NAMES_LOOKED_AT)) if self.labelled else ():
+            annotation = self.data.annotation(index)
+            if annotation is not None:
+                names.update(map(str, annotation.boxes.relabel(self.aliases).label))
+        return {name: count for name, count in names.items() if name not in (*self.classes, *CIRRUS_CLASSES)}
 
     def _check_boxes(self) -> None:
         """Refuse frames of which none has a box of a trained class: the loss of boxes would be 0 to the end.

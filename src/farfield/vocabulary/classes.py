@@ -1,11 +1,13 @@
 """Class names: the vocabulary of Cirrus, which Farfield uses everywhere, and how other data sets map to it.
 
 Cirrus, section III: vehicle, large vehicle, pedestrian, bicycle, animal, wheeled pedestrian, motorcycle, trailer;
-``unknown`` stands for annotated objects without a class.
+``unknown`` stands for annotated objects without a class, and for classes that a data set's authors published and that
+are none of ours. Names that neither we nor they know, such as one's own ``Cone``, stay as they are written.
 """
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from unicodedata import normalize
 
 CIRRUS_CLASSES = (
     "vehicle",
@@ -31,8 +33,6 @@ CLASS_COLOURS = {
 }
 """A colour a class, of those of Okabe and Ito, which everybody can tell apart."""
 
-CIRRUS_ALIASES = {"car": "vehicle", "truck": "large_vehicle", "bus": "large_vehicle", "cyclist": "bicycle"}
-
 CIRRUS_FROM_KITTI = {
     "Car": "vehicle",
     "Van": "vehicle",
@@ -53,6 +53,9 @@ CIRRUS_FROM_VIEW_OF_DELFT = {
     "bicycle": "bicycle",
     "moped_scooter": "motorcycle",
     "motor": "motorcycle",
+    **dict.fromkeys(
+        ("rider", "bicycle_rack", "human_depiction", "ride_other", "ride_uncertain", "vehicle_other"), "unknown"
+    ),
 }
 
 CIRRUS_FROM_ASTYX = {
@@ -139,6 +142,21 @@ CIRRUS_FROM_ARGOVERSE2 = {
     "STROLLER": "wheeled_pedestrian",
     "DOG": "animal",
     "ANIMAL": "animal",
+    **dict.fromkeys(
+        (
+            "BOLLARD",
+            "CONSTRUCTION_BARREL",
+            "CONSTRUCTION_CONE",
+            "MOBILE_PEDESTRIAN_CROSSING_SIGN",
+            "MOBILE_PEDESTRIAN_SIGN",
+            "RAILED_VEHICLE",
+            "SIGN",
+            "STOP_SIGN",
+            "TRAFFIC_LIGHT",
+            "UNKNOWN",
+        ),
+        "unknown",
+    ),
 }
 
 
@@ -157,18 +175,61 @@ CIRRUS_FROM_TOOLS = {
 }
 """Classes as annotation tools offer them, beside those whose names are ours."""
 
+_EVERYDAY = {
+    "vehicle": (
+        "automobile",
+        "car",
+        "minivan",
+        "passenger_car",
+        "pickup",
+        "pickup_truck",
+        "suv",
+        "taxi",
+        "van",
+    ),
+    "large_vehicle": ("bus", "coach", "heavy_vehicle", "hgv", "lorry", "tram", "truck"),
+    "pedestrian": ("human", "people", "person", "walker"),
+    "bicycle": ("bicyclist", "bike", "cyclist"),
+    "motorcycle": ("moped", "motorbike", "motorcyclist", "scooter"),
+    "animal": ("cat", "dog"),
+    "wheeled_pedestrian": ("stroller", "wheelchair"),
+    "trailer": (),
+}
+
+CIRRUS_FROM_USUAL: Mapping[str, str] = {
+    "_".join(name.strip().lower().replace("_", " ").split()): ours
+    for names in (
+        CIRRUS_FROM_ARGOVERSE2,
+        CIRRUS_FROM_KRADAR,
+        CIRRUS_FROM_VIEW_OF_DELFT,
+        CIRRUS_FROM_ASTYX,
+        CIRRUS_FROM_TOOLS,
+        CIRRUS_FROM_KITTI,
+        {word: ours for ours, words in _EVERYDAY.items() for word in words},
+    )
+    for name, ours in names.items()
+    if ours != "unknown"
+}
+"""Usual names of classes, of other data sets and of every day, in small letters with underscores."""
+
 
 def normalised_class(name: str, aliases: Mapping[str, str]) -> str:
-    """Bring a class name into the vocabulary of Cirrus; what is not in it becomes ``unknown``.
+    """Bring a class name into the vocabulary of Cirrus; what is not usual anywhere stays as it is written.
 
-    >>> normalised_class("Large Vehicle", {}), normalised_class("Wheeled-Pedestrian", {}), normalised_class("tank", {})
-    ('large_vehicle', 'wheeled_pedestrian', 'unknown')
+    Args:
+        name: The name.
+        aliases: What it is in its own data set, which counts before what is usual elsewhere.
+
+    >>> normalised_class("Sedan", {}), normalised_class("LORRY", {}), normalised_class("Bus or Truck", {})
+    ('vehicle', 'large_vehicle', 'large_vehicle')
+    >>> normalised_class("Large Vehicle", {}), normalised_class("Wheeled-Pedestrian", {}), normalised_class("Tank", {})
+    ('large_vehicle', 'wheeled_pedestrian', 'Tank')
     """
     if name in aliases:
         return aliases[name]
     plain = "_".join(name.strip().lower().replace("-", " ").replace("_", " ").split())
-    plain = aliases.get(plain, CIRRUS_ALIASES.get(plain, plain))
-    return plain if plain in CIRRUS_CLASSES else "unknown"
+    plain = aliases.get(plain, CIRRUS_FROM_USUAL.get(plain, plain))
+    return plain if plain in CIRRUS_CLASSES else normalize("NFC", name)
 
 
 # Usual sizes of objects by class, metres: where detectors start from.
@@ -230,6 +291,7 @@ def closest_class(name: str, names: Iterable[str]) -> str:
     """
     by_plain = {other.lower(): other for other in names}
     ours = normalised_class(name, {})
-    same = [other for other in by_plain.values() if normalised_class(other, {}) == ours != "unknown"]
+    usual = ours in CIRRUS_CLASSES and ours != "unknown"
+    same = [other for other in by_plain.values() if usual and normalised_class(other, {}) == ours]
     close = get_close_matches(name.lower(), list(by_plain), n=1, cutoff=0.75)
     return by_plain.get(name.lower()) or (same[0] if same else by_plain[close[0]] if close else "")

@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from farfield.errors import ConfigError, DatasetError, plain
 from farfield.files.atomic import read_bytes
 from farfield.files.suffixes import pattern_in_any_case
+from farfield.files.yaml_text import plain_yaml
 from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 # The mapping file: one key for every fact that the release leaves uncertain.
@@ -160,7 +161,7 @@ def read_mapping(path: Path | str) -> Mapping:
         ConfigError: If it cannot be read, is no YAML, or has an unknown key or an impossible value.
     """
     try:
-        content = yaml.safe_load(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
+        content = plain_yaml(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
         return Mapping.model_validate({} if content is None else content)
     except ValidationError as error:
         raise ConfigError(f"{path}: {plain(error)}") from error

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from farfield.datasets.kitti.boxes import boxes_from_objects, objects_from_boxes, sized_camera
+from farfield.datasets.kitti.boxes import boxes_in_axes, objects_from_boxes, sized_camera
 from farfield.datasets.kitti.object import Kitti
 from farfield.datasets.labels.formats import BoxLabel, Numbers, Value
 from farfield.datasets.labels.line_labels import FileSpan, kept_numbers, physical_lines, replaced
@@ -74,9 +74,14 @@ class KittiLabelFormat:
         return sized_camera(read_calib(calib), image)
 
 
+def label_format(data: Kitti) -> KittiLabelFormat | None:
+    """The label files of a data set, to edit them; None where they do not stand in the camera's axes."""
+    return KittiLabelFormat(data) if data.label_axes == "camera" else None
+
+
 def _parts(data: bytes, path: Path, key: Key, camera: Camera) -> list[FileSpan]:
     objects = parse_labels(data, path)
-    boxes = boxes_from_objects(objects, camera.camera_T_lidar, classes="kitti")
+    boxes = boxes_in_axes(objects, camera.camera_T_lidar, "camera", Path(path), classes="kitti")
     rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
     boxed = objects[objects.has_box]
     by_line = {int(line): index for index, line in enumerate(boxed.line)}

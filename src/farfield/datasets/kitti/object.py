@@ -17,8 +17,9 @@ from farfield.datasets.base import Dataset, Indices
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.kitti.boxes import (
     annotation_of,
-    boxes_from_objects,
+    boxes_in_axes,
     camera_from_calib,
+    checked_axes,
     objects_from_boxes,
     sized_camera,
 )
@@ -51,6 +52,9 @@ class Kitti(Dataset):
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
         bin_columns: Columns of the clouds; None takes what the largest of the first clouds shows, and KITTI's
             four where it does not show it.
+        label_axes: ``"camera"``, or of own labels with a unit calibration ``"lidar"`` (x y z is a box's centre in the
+            LiDAR's axes, rotation_y its yaw) or ``"lidar-bottom"`` (x y z is the bottom's centre); the calibration is
+            then no camera's.
         intensity_scale: Value that stands for full reflectance in all clouds; None is KITTI's 1 for four
             columns, else decides by some of them.
         point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
@@ -69,9 +73,12 @@ class Kitti(Dataset):
         part: Literal["training", "testing"] = "training",
         classes: Literal["cirrus", "kitti"] = "cirrus",
         bin_columns: int | None = None,
+        label_axes: str = "camera",
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
+        checked_axes(label_axes)
+        self.label_axes = label_axes
         if classes not in ("cirrus", "kitti"):
             raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
         self.root, self.classes = Path(root), classes
@@ -137,13 +144,19 @@ class Kitti(Dataset):
         labels, image = self._file(index, "label_2", ".txt"), self._image(index)
         calib_path = self._file(index, "calib", ".txt")
         calib = None if calib_path is None else read_calib(calib_path)
-        if labels is not None and calib is None:
-            raise DatasetError(f"{labels}: expected calib/{labels.name} beside it: boxes stand in the camera's frame")
+        if labels is not None and calib is None and self.label_axes == "camera":
+            raise DatasetError(
+                f"{labels}: expected calib/{labels.name} beside it: boxes stand in the camera's frame. "
+                "Labels in the LiDAR's axes are read by --label-axes lidar or lidar-bottom"
+            )
         load = self.reading.loader(self.clouds[index])
-        annotation, cameras = None, {} if calib is None else {"camera": sized_camera(calib, image)}
-        if labels is not None and calib is not None:
-            region = CameraField(camera=cameras["camera"], name="the left colour camera")
-            annotation = partial(_read_annotation, labels, camera_from_calib(calib), self.classes, region)
+        pictured = calib is not None and self.label_axes == "camera"
+        annotation, cameras = None, {"camera": sized_camera(calib, image)} if calib is not None and pictured else {}
+        if labels is not None:
+            camera_T_lidar = np.eye(4) if calib is None else camera_from_calib(calib)
+            region = CameraField(camera=cameras["camera"], name="the left colour camera") if cameras else None
+            read = partial(_read_annotation, labels, camera_T_lidar, self.label_axes, self.classes)
+            annotation = partial(read, region)
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
@@ -165,10 +178,10 @@ def mounted(cameras: Mapping[str, Camera], pictured: bool) -> dict[str, Sensor]:
 
 
 def _read_annotation(
-    path: Path, camera_T_lidar: Float[np.ndarray, "4 4"], classes: str, region: CameraField
+    path: Path, camera_T_lidar: Float[np.ndarray, "4 4"], label_axes: str, classes: str, region: CameraField | None
 ) -> Annotation:
     objects = read_labels(path)
-    return annotation_of(objects, boxes_from_objects(objects, camera_T_lidar, classes=classes), region)
+    return annotation_of(objects, boxes_in_axes(objects, camera_T_lidar, label_axes, path, classes=classes), region)
 
 
 # TJ4DRadSet (Zheng et al.: "TJ4DRadSet: A 4D Radar Dataset for Autonomous Driving", ITSC 2022), its 4D radar: KITTI's
@@ -240,7 +253,7 @@ class KittiWriter:
 
     Args:
         root: Folder in which ``training`` is made.
-        classes: KITTI's names by ours; others become ``Misc``.
+        classes: KITTI's names by ours; others stay.
     """
 
     def __init__(self, root: Path | str, *, classes: Mapping[str, str] = KITTI_FROM_CIRRUS) -> None:

@@ -5,7 +5,7 @@ three files of calibration in ``<date>``. A turn of the LiDAR has three stamps: 
 the cameras fire), and when it ends.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,9 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from farfield.datasets.base import Dataset, Indices
 from farfield.datasets.cloud_reading import CloudReading
+from farfield.datasets.labels.tracklet_reading import (
+    FRAME_LIST,
+    TrackletReading,
+    checked_convention,
+    read_tracklets,
+)
 from farfield.errors import DatasetError, FileFormatError
-from farfield.files.atomic import read_bytes
-from farfield.files.cuboids import Cuboid
 from farfield.files.images import read_image
 from farfield.files.kitti import read_raw_calib, read_record, rectified, rigid
 from farfield.files.point_times import PointTimes
@@ -53,9 +57,16 @@ class KittiRaw(Dataset):
 
     Args:
         root: A drive, the folder of its day, or the one above.
+        tracklets: What the numbers of ``tracklet_labels.xml`` stand for: ``"kitti"``, ``"cvat"`` or ``"datumaro"``;
+            None decides by the list beside it, the writer's marks, and the points in the boxes.
+        bin_columns: Columns of the clouds; None takes what the first show, and KITTI's four where they show none.
+        intensity_scale: Value that stands for full reflectance in all clouds; None is KITTI's 1 for four columns, else
+            decides by some of them.
+        point_times: Unit of the points' times, where the files have any.
 
     Raises:
         DatasetError: If there is no drive.
+        ConfigError: If there is no such convention.
     """
 
     name = "kitti_raw"
@@ -64,17 +75,22 @@ class KittiRaw(Dataset):
         self,
         root: Path | str,
         *,
+        tracklets: str | None = None,
         bin_columns: int | None = None,
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
-        self.root = Path(root)
+        self.root, self.tracklets = Path(root), tracklets
+        checked_convention(tracklets)
         self.folders = drives_in(self.root)
         self.clouds = [
             path for folder in self.folders for path in sorted((folder / CLOUDS / "data").glob(f"*{any_case('.bin')}"))
         ]
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected drives with {CLOUDS}/data/*.bin and timestamps, found none")
+        self._sweeps: dict[Path, tuple[Path, ...]] = {}
+        for path in self.clouds:
+            self._sweeps[path.parents[2]] = (*self._sweeps.get(path.parents[2], ()), path)
         self._first_record = {folder: min(folder.glob("oxts/data/*.txt"), default=None) for folder in self.folders}
         self.sequences = tuple(self._drive(index).resolve().name for index in range(len(self.clouds)))
         self.frame_ids = tuple(path.stem for path in self.clouds)
@@ -99,11 +115,27 @@ class KittiRaw(Dataset):
         drive = self._drive(index)
         record, labels = drive / "oxts" / "data" / f"{self.frame_ids[index]}.txt", drive / _LABELS
         images = [path for camera in CAMERAS if (path := self._image(index, camera)) is not None]
-        return [self.clouds[index], *images, *(path for path in (record, labels) if path.is_file())]
+        beside = (record, labels, labels.with_name(FRAME_LIST))
+        return [self.clouds[index], *images, *(path for path in beside if path.is_file())]
 
     def has_annotation(self, index: int) -> bool:
         """Whether the drive of frame ``index`` has tracklets; a frame that they do not mention has no objects."""
         return (self._drive(index) / _LABELS).is_file()
+
+    def _reading(self, drive: Path) -> Callable[[], TrackletReading]:
+        """What reads a drive's tracklets."""
+        convention, columns = self.tracklets, self.reading.bin_columns
+        return partial(read_tracklets, drive / _LABELS, self._sweeps[drive], convention=convention, bin_columns=columns)
+
+    def tracklets_of(self, drive: Path) -> TrackletReading:
+        """The tracklets of a drive's folder; errors are those of :func:`read_tracklets`."""
+        return self._reading(drive)()
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What the numbers of each drive's tracklets stand for, and by what that was decided."""
+        readings = [self.tracklets_of(drive) for drive in self._sweeps if (drive / _LABELS).is_file()]
+        return tuple(reading.sentence for reading in readings if not reading.published)
 
     def _times_of(self, indices: Indices) -> Indices | None:
         times_ns = [self._time_ns(index, "middle") for index in np.asarray(indices).tolist()]
@@ -133,7 +165,7 @@ class KittiRaw(Dataset):
                 **{name: camera_sensor(cameras.get(name), time) for name, time in times.items()},
             },
             world_T_frame=placed(drive, frame_id, self._first_record[drive]),
-            load_annotation=partial(_annotation, labels, frame_id) if labels.is_file() else None,
+            load_annotation=partial(_annotation, self._reading(drive), frame_id) if labels.is_file() else None,
             metadata={"files": [str(path) for path in self.files(index)], "turn_ns": turn},
         )
 
@@ -142,8 +174,12 @@ def label_format(data: KittiRaw) -> "TrackletLabels":
     """The tracklets of a data set's drives, to edit them."""
     from farfield.datasets.labels.tracklet_labels import TrackletLabels
 
-    frames = enumerate(zip(data.keys, data.frame_ids, strict=True))
-    return TrackletLabels({key: (data.clouds[index].parents[2] / _LABELS, int(name)) for index, (key, name) in frames})
+    readings = {drive: data.tracklets_of(drive) for drive in dict.fromkeys(cloud.parents[2] for cloud in data.clouds)}
+    places = {
+        key: (cloud.parents[2] / _LABELS, readings[cloud.parents[2]].numbers[cloud.stem])
+        for key, cloud in zip(data.keys, data.clouds, strict=True)
+    }
+    return TrackletLabels(places, {reading.path: reading.convention for reading in readings.values()})
 
 
 def stamp_of(path: Path, frame_id: str) -> int | None:
@@ -211,20 +247,7 @@ def _pose(record: Float[np.ndarray, " 30"], scale: float) -> Float[np.ndarray, "
     return pose(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), np.array([east, north, altitude]))
 
 
-def _annotation(path: Path, frame_id: str) -> Annotation:
+def _annotation(reading: Callable[[], TrackletReading], frame_id: str) -> Annotation:
     from farfield.datasets.labels.json_labels import annotation_of
 
-    status = path.stat()
-    return annotation_of(_tracklets(path, status.st_mtime_ns, status.st_size).get(str(int(frame_id)), ()))
-
-
-@lru_cache(maxsize=4)
-def _tracklets(path: Path, changed_ns: int, size: int) -> Mapping[str, tuple[Cuboid, ...]]:
-    """The boxes of a drive by frame; its file is parsed once while it stays."""
-    from farfield.files.tracklets import parse_tracklets
-
-    del changed_ns, size
-    cuboids_by_frame: dict[str, list[Cuboid]] = {}
-    for cuboid in parse_tracklets(read_bytes(path), path):
-        cuboids_by_frame.setdefault(cuboid.frame, []).append(cuboid)
-    return {name: tuple(cuboids) for name, cuboids in cuboids_by_frame.items()}
+    return annotation_of(reading().boxes(frame_id))

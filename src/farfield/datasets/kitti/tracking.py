@@ -14,7 +14,13 @@ from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_reading import CloudReading
-from farfield.datasets.kitti.boxes import annotation_of, boxes_from_objects, camera_from_calib, sized_camera
+from farfield.datasets.kitti.boxes import (
+    annotation_of,
+    boxes_in_axes,
+    camera_from_calib,
+    checked_axes,
+    sized_camera,
+)
 from farfield.datasets.kitti.object import mounted
 from farfield.errors import DatasetError
 from farfield.files.images import read_image
@@ -42,6 +48,7 @@ class KittiTracking(Dataset):
         classes: ``"cirrus"`` translates class names, ``"kitti"`` keeps them.
         bin_columns: Columns; None takes what the largest of the first clouds shows, and KITTI's four where it
             shows none.
+        label_axes: As of :class:`~farfield.datasets.kitti.object.Kitti`.
         intensity_scale: Value that stands for full reflectance in all clouds; None is KITTI's 1 for four columns, else
             decides by some of them.
         point_times: Unit of the points' times, where the files have any.
@@ -59,9 +66,12 @@ class KittiTracking(Dataset):
         part: Literal["training", "testing"] = "training",
         classes: Literal["cirrus", "kitti"] = "cirrus",
         bin_columns: int | None = None,
+        label_axes: str = "camera",
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
+        checked_axes(label_axes)
+        self.label_axes = label_axes
         self.root, self.classes = Path(root), classes
         self.folder = self.root / part if (self.root / part).is_dir() else self.root
         names = {path.parent.name for path in self.folder.glob(f"velodyne/*/{_CLOUDS}")}
@@ -120,12 +130,15 @@ class KittiTracking(Dataset):
         cloud, image = self._file(index, "velodyne", ".bin"), self._file(index, "image_02", ".png", ".jpg")
         calib_path = self._calib(index)
         calib = None if calib_path is None else read_calib(calib_path)
-        cameras = {} if calib is None else {"camera": sized_camera(calib, image)}
+        pictured = self.label_axes == "camera"
+        cameras = {"camera": sized_camera(calib, image)} if calib is not None and pictured else {}
         annotation = None
         if sequence in self.labels:
             camera_T_lidar = CAMERA_T_LIDAR_AXES if calib is None else camera_from_calib(calib)
             field = CameraField(camera=cameras["camera"], name="the left colour camera") if cameras else None
-            annotation = partial(self._tracks[sequence].annotation, int(stem), camera_T_lidar, self.classes, field)
+            annotation = partial(
+                self._tracks[sequence].annotation, int(stem), camera_T_lidar, self.label_axes, self.classes, field
+            )
         return Frame(
             sequence=sequence,
             frame_id=stem,
@@ -149,10 +162,15 @@ class _TrackFile:
         return read_tracking(self.path)
 
     def annotation(
-        self, number: int, camera_T_lidar: Float[np.ndarray, "4 4"], classes: str, field: CameraField | None
+        self,
+        number: int,
+        camera_T_lidar: Float[np.ndarray, "4 4"],
+        label_axes: str,
+        classes: str,
+        field: CameraField | None,
     ) -> Annotation:
         rows = self.rows[self.rows.frame == number]
-        boxes = boxes_from_objects(rows.objects, camera_T_lidar, classes=classes)
+        boxes = boxes_in_axes(rows.objects, camera_T_lidar, label_axes, self.path, classes=classes)
         return annotation_of(rows.objects, boxes.replace(track_id=rows.track_id[rows.objects.has_box]), field)
 
     def __getstate__(self) -> dict[str, Path]:

@@ -107,7 +107,7 @@ class LabelFormat(Protocol):
 _OF_READER = {
     "kradar": "farfield.datasets.kradar.label_format:KRadarLabelFormat",
     "cirrus": "farfield.datasets.cirrus.label_format:CirrusLabelFormat",
-    "kitti": "farfield.datasets.kitti.label_format:KittiLabelFormat",
+    "kitti": "farfield.datasets.kitti.label_format:label_format",
     "kitti_raw": "farfield.datasets.kitti.raw:label_format",
     "sustechpoints": "farfield.datasets.sustechpoints:label_format",
     "cvat": "farfield.datasets.cvat:label_format",

@@ -15,7 +15,7 @@ from farfield.datasets.labels.formats import BoxLabel, Numbers, Value
 from farfield.datasets.labels.line_labels import kept_numbers
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.cuboids import Cuboid
-from farfield.files.tracklets import parse_tracklets
+from farfield.files.tracklets import CONVENTIONS, Convention, parse_tracklets
 from farfield.files.xml_tree import Edit, Span, edited, parse_spans
 from farfield.frame import Key
 
@@ -46,6 +46,7 @@ class _TrackletObject:
         span: Its element; None for a new one.
         label: Its class.
         size_m: Length, width, height.
+        convention: What its numbers in the file stand for.
         poses: By frame, the bytes of each; None where they are still to be written from ``boxes``.
         boxes: By frame, what is new.
     """
@@ -53,6 +54,7 @@ class _TrackletObject:
     span: Span | None
     label: str
     size_m: tuple[float, float, float]
+    convention: Convention
     poses: dict[int, Span | None] = field(default_factory=dict)
     boxes: dict[int, BoxLabel] = field(default_factory=dict)
     named: set[str] = field(default_factory=set)
@@ -65,11 +67,13 @@ class TrackletLabels:
 
     Args:
         places: File and number of each frame.
+        conventions: What the numbers of each file stand for; KITTI's own where it is not named.
     """
 
     name: ClassVar[str] = "kitti-tracklets"
     attributes: ClassVar[Mapping[str, tuple[Value, ...]]] = _SEEN
     places: Mapping[Key, tuple[Path, int]]
+    conventions: Mapping[Path, Convention] = field(default_factory=dict)
 
     def path(self, key: Key) -> Path:
         """The file of a frame's drive.
@@ -84,7 +88,7 @@ class TrackletLabels:
     def parse(self, data: bytes, path: Path, keys: Sequence[Key]) -> Mapping[Key, tuple[BoxLabel, ...]]:
         """Labels of the frames, objects in the file's order."""
         cuboids: dict[str, list[Cuboid]] = {}
-        for cuboid in parse_tracklets(data, path):
+        for cuboid in parse_tracklets(data, path, self._convention(path)):
             cuboids.setdefault(cuboid.frame, []).append(cuboid)
         return {key: _labels(cuboids.get(str(self.places[key][1]), ())) for key in keys}
 
@@ -95,7 +99,10 @@ class TrackletLabels:
         if all(tuple(new_labels) == old_labels[key] for key, new_labels in labels.items()):
             return before
         numbered = {self.places[key][1]: (old_labels[key], new_labels) for key, new_labels in labels.items()}
-        return _rendered(before, path, numbered)
+        return _rendered(before, path, numbered, self._convention(path))
+
+    def _convention(self, path: Path) -> Convention:
+        return self.conventions.get(path, CONVENTIONS["kitti"])
 
 
 def _labels(cuboids: Sequence[Cuboid]) -> tuple[BoxLabel, ...]:
@@ -105,10 +112,15 @@ def _labels(cuboids: Sequence[Cuboid]) -> tuple[BoxLabel, ...]:
     )
 
 
-def _rendered(data: bytes, path: Path, frames: Mapping[int, tuple[Sequence[BoxLabel], Sequence[BoxLabel]]]) -> bytes:
+def _rendered(
+    data: bytes,
+    path: Path,
+    frames: Mapping[int, tuple[Sequence[BoxLabel], Sequence[BoxLabel]]],
+    convention: Convention,
+) -> bytes:
     root = parse_spans(data, path)
     (tracklets,) = root.all("tracklets")
-    objects = [_object(data, span) for span in tracklets.all("item")]
+    objects = [_object(data, span, convention) for span in tracklets.all("item")]
     touched: set[int] = set()
     edits: list[Edit] = []
     added: list[tuple[int, BoxLabel]] = []
@@ -124,18 +136,19 @@ def _rendered(data: bytes, path: Path, frames: Mapping[int, tuple[Sequence[BoxLa
             else:
                 edits += _changes(objects[number], frame, label, new)
         added += [(frame, label) for label in left.values()]
-    touched |= _joined(objects, added)
+    touched |= _joined(objects, added, convention)
     for tracklet in objects:
         edits += _of_all(tracklet, path)
     return _assembled(data, tracklets, objects, touched, edits)
 
 
-def _object(data: bytes, span: Span) -> _TrackletObject:
+def _object(data: bytes, span: Span, convention: Convention) -> _TrackletObject:
     texts = _texts(data, span)
     poses = [pose for group in span.all("poses") for pose in group.all("item")]
     first = int(float(texts["first_frame"]))
-    size = (float(texts["l"]), float(texts["w"]), float(texts["h"]))
-    return _TrackletObject(span, texts["objectType"], size, {first + step: pose for step, pose in enumerate(poses)})
+    length, width, height = (float(texts[name]) for name in convention.sizes)
+    numbered: dict[int, Span | None] = {first + step: pose for step, pose in enumerate(poses)}
+    return _TrackletObject(span, texts["objectType"], (length, width, height), convention, numbered)
 
 
 def _texts(data: bytes, span: Span) -> dict[str, str]:
@@ -151,7 +164,8 @@ def _changes(tracklet: _TrackletObject, frame: int, old: BoxLabel, new: BoxLabel
         tracklet.named.add(new.label)
     if box[3:6] != old.box[3:6]:
         tracklet.sized.add((box[3], box[4], box[5]))
-    for name, before, after in zip(_PLACES, _place(old.box), _place(box), strict=True):
+    places = (_place(numbers, tracklet.convention) for numbers in (old.box, box))
+    for name, before, after in zip(_PLACES, *places, strict=True):
         if before != after:
             yield _text(pose, name, repr(after))
     for name, value in _seen(new).items():
@@ -159,8 +173,8 @@ def _changes(tracklet: _TrackletObject, frame: int, old: BoxLabel, new: BoxLabel
             yield _text(pose, name, f"{value:g}")
 
 
-def _place(box: Numbers) -> tuple[float, float, float, float]:
-    return box[0], box[1], box[2] - box[5] / 2, box[6]
+def _place(box: Numbers, convention: Convention) -> tuple[float, float, float, float]:
+    return box[0], box[1], box[2] - box[5] / 2 if convention.bottom else box[2], box[6]
 
 
 def _seen(label: BoxLabel) -> dict[str, float]:
@@ -178,7 +192,7 @@ def _text(span: Span, name: str, text: str) -> Edit:
     return (child.inner, child.close, text.encode())
 
 
-def _joined(objects: list[_TrackletObject], added: Sequence[tuple[int, BoxLabel]]) -> set[int]:
+def _joined(objects: list[_TrackletObject], added: Sequence[tuple[int, BoxLabel]], convention: Convention) -> set[int]:
     """Put new boxes into the objects that they continue, or into new ones; which objects have others now."""
     touched: set[int] = set()
     begun: dict[tuple[str, str], int] = {}
@@ -188,7 +202,7 @@ def _joined(objects: list[_TrackletObject], added: Sequence[tuple[int, BoxLabel]
         number = int(label.track) if exists else begun.get((label.track, label.label), -1)
         if number < 0 or not label.track or frame in objects[number].poses or objects[number].label != label.label:
             number = begun[label.track, label.label] = len(objects)
-            objects.append(_TrackletObject(None, label.label, size))
+            objects.append(_TrackletObject(None, label.label, size, convention))
         tracklet = objects[number]
         tracklet.poses[frame], tracklet.boxes[frame] = None, label
         if size != tracklet.size_m:
@@ -209,7 +223,7 @@ def _of_all(tracklet: _TrackletObject, path: Path) -> Iterator[Edit]:
     if tracklet.sized:
         before, (after,) = tracklet.size_m, tracklet.sized
         tracklet.size_m = after
-        for name, old, new in zip("lwh", before, after, strict=True):
+        for name, old, new in zip(tracklet.convention.sizes, before, after, strict=True):
             if tracklet.span is not None and old != new:
                 yield _text(tracklet.span, name, repr(float(new)))
 
@@ -279,9 +293,9 @@ def _pose(data: bytes, tracklet: _TrackletObject, frame: int, edits: Sequence[Ed
     if span is not None:
         return edited(data, edits, span.start, span.end)
     label = tracklet.boxes[frame]
-    x, y, bottom, yaw = map(repr, map(float, _place(label.box)))
+    x, y, z, yaw = map(repr, map(float, _place(label.box, tracklet.convention)))
     attributes = {"occlusion": -1.0, "truncation": 99.0} | _seen(label)
-    values = {"tx": x, "ty": y, "tz": bottom, "rx": "0", "ry": "0", "rz": yaw, "state": "2"}
+    values = {"tx": x, "ty": y, "tz": z, "rx": "0", "ry": "0", "rz": yaw, "state": "2"}
     values |= {
         "occlusion": f"{attributes['occlusion']:g}",
         "occlusion_kf": "1",
@@ -293,9 +307,9 @@ def _pose(data: bytes, tracklet: _TrackletObject, frame: int, edits: Sequence[Ed
 
 
 def _new_object(data: bytes, tracklet: _TrackletObject, run: Sequence[int], edits: Sequence[Edit]) -> bytes:
-    length, width, height = map(repr, map(float, tracklet.size_m))
+    sizes = dict(zip(tracklet.convention.sizes, map(repr, map(float, tracklet.size_m)), strict=True))
     label = escape(next(iter(tracklet.named), tracklet.label))
-    head = {"objectType": label, "h": height, "w": width, "l": length, "first_frame": str(run[0])}
+    head = {"objectType": label, **{name: sizes[name] for name in "hwl"}, "first_frame": str(run[0])}
     lines = "".join(f"\n\t\t<{name}>{text}</{name}>" for name, text in head.items())
     poses = b"".join(b"\n\t\t\t" + _pose(data, tracklet, frame, edits) for frame in run)
     counts = f"\n\t\t<poses>\n\t\t\t<count>{len(run)}</count>\n\t\t\t<item_version>2</item_version>"

@@ -4,6 +4,7 @@ from typing import Any
 
 from farfield.datasets.base import Dataset
 from farfield.inspection.doctor.calibration import check_calibration as check_calibration
+from farfield.inspection.doctor.companions import check_companions
 from farfield.inspection.doctor.content import (
     check_cameras_upright,
     check_classes,
@@ -11,11 +12,13 @@ from farfield.inspection.doctor.content import (
     check_clouds_upright,
     check_sizes,
     check_suspicious_boxes,
+    check_tracks,
 )
 from farfield.inspection.doctor.conventions import check_conventions, check_quaternion_order
 from farfield.inspection.doctor.inventory import check_inventory, check_stamps, check_timing
 from farfield.inspection.doctor.kradar import check_kradar
 from farfield.inspection.doctor.survey import DoctorReport, Finding, survey
+from farfield.inspection.doctor.tracks import check_motion
 from farfield.jobs import HERE, JobOptions
 
 __all__ = ["DoctorReport", "Finding", "examine"]
@@ -33,6 +36,9 @@ _CHECKS = (
     check_classes,
     check_sizes,
     check_suspicious_boxes,
+    check_tracks,
+    check_companions,
+    check_motion,
 )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.cirrus import Cirrus
-from farfield.datasets.folder import MAPPING_NAME, Folder
+from farfield.datasets.class_mapping import MAPPING_NAME
 from farfield.datasets.maps.coordinates import Move
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud
@@ -114,13 +114,13 @@ def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(severity="ok", topic=f"class {label}", what=f"{counted(sum(row.values()), 'box')}: {shown}")
     reader = survey.dataset.unwrapped
     if not isinstance(reader, Cirrus):
-        yield from _own_names(table, in_folder=isinstance(reader, Folder))
+        yield from _own_names(table)
         return
     aliases = reader.mapping.labels.aliases
     strange = {
         name: count
         for name, count in survey.raw_labels.items()
-        if normalised_class(name, aliases) == "unknown" and name.strip().lower() != "unknown"
+        if normalised_class(name, aliases) not in CIRRUS_CLASSES
     }
     if strange:
         most = sum(strange.values()) > 0.5 * max(len(boxes), 1)
@@ -128,12 +128,13 @@ def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(
             severity="fail" if most else "warn",
             topic="class names",
-            what=f"not in the vocabulary, read as unknown: {shown}",
-            fix="Give aliases in the mapping, such as labels: {aliases: {car: vehicle}}.",
+            what=f"not in the vocabulary: {shown}",
+            fix="Give aliases in the mapping, such as labels: {aliases: {car: vehicle}}, or classes: {Auto: vehicle} "
+            f"in {MAPPING_NAME}.",
         )
 
 
-def _own_names(table: Mapping[str, Mapping[str, int]], *, in_folder: bool) -> Iterator[Finding]:
+def _own_names(table: Mapping[str, Mapping[str, int]]) -> Iterator[Finding]:
     """Names that neither the detectors nor the experiments know, with what they may mean."""
     counts = {label: sum(row.values()) for label, row in table.items()}
     strange = {label: count for label, count in counts.items() if label not in CIRRUS_CLASSES}
@@ -149,19 +150,11 @@ def _own_names(table: Mapping[str, Mapping[str, int]], *, in_folder: bool) -> It
         topic="class names",
         what=f"not in the vocabulary ({', '.join(vocabulary)}): {shown}"
         + (f"; did you mean {pairs}?" if meant else ""),
-        fix=_rename(pairs, in_folder=in_folder),
+        fix=f"Rename them, or write {{classes: {{{pairs}}}}} into {MAPPING_NAME} beside the data, or into a file for "
+        f"--mapping; or -o 'data.aliases={{{pairs}}}' in train, "
+        f"--options relabel={pairs.replace(': ', ':').replace(', ', ',')} in score and evaluate; or train your own: "
+        "detector.class_names.",
     )
-
-
-def _rename(pairs: str, *, in_folder: bool) -> str:
-    """How to map classes; own folders have a file for that."""
-    shared = (
-        f"-o 'data.aliases={{{pairs}}}' in train, --options relabel={pairs.replace(': ', ':').replace(', ', ',')} in "
-        "score and evaluate; or train your own: detector.class_names."
-    )
-    if in_folder:
-        return f"Rename them, or write {{classes: {{{pairs}}}}} into {MAPPING_NAME} beside the clouds; or {shared}"
-    return f"Rename them, or map them where they are used: {shared}"
 
 
 def _bins() -> list[tuple[float, float]]:
@@ -179,6 +172,7 @@ def check_sizes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     if doubt is not None:
         yield Finding(severity="fail", topic=doubt.topic, what=doubt.what, fix=doubt.fix)
         return
+    yield from _order_of_sizes(boxes)
     limits = np.array([_LARGEST_M.get(label, (60.0, 20.0, 20.0)) for label in np.asarray(boxes.label).tolist()])
     large = (-np.sort(-boxes.size_m, axis=1) > limits).any(axis=1)
     small = boxes.size_m.max(axis=1) < 0.1
@@ -187,6 +181,29 @@ def check_sizes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     fix = "Look at them: a wrong class or a slip of the hand." if share else ""
     severity = "fail" if share > 0.5 and len(boxes) >= 10 else "warn" if share else "ok"
     yield Finding(severity=severity, topic="box sizes", what=what, fix=fix)  # type: ignore[arg-type]
+
+
+def _order_of_sizes(boxes: Boxes) -> Iterator[Finding]:
+    """Vehicles that are higher or wider than long: their sizes stand in another order."""
+    long = np.isin(np.asarray(boxes.label), ("vehicle", "large_vehicle", "trailer"))
+    for axis, word in ((2, "higher"), (1, "wider")):
+        wrong = long & (boxes.size_m[:, axis] > 1.2 * boxes.size_m[:, 0])
+        if wrong.sum() > 0.5 * long.sum():
+            what = f"{int(wrong.sum())} of {int(long.sum())} vehicles are {word} than long"
+            fix = "Sizes are length (along the heading), width, height: exchange them, or turn the yaw by pi/2."
+            yield Finding(severity="warn", topic="order of sizes", what=what, fix=fix)
+            return
+
+
+def check_tracks(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
+    """Find identities that stand twice in a frame."""
+    tracks = [boxes.track_id[boxes.track_id >= 0] for boxes in survey.boxes if boxes.track_id is not None]
+    doubled = sum(len(np.unique(numbers)) < len(numbers) for numbers in tracks)
+    if doubled:
+        facts["frames_with_doubled_tracks"] = doubled
+        what = f"{doubled} of {len(tracks)} frames have two boxes of one track"
+        fix = "An identity is one object: number them anew, or leave the numbers out."
+        yield Finding(severity="warn", topic="tracks", what=what, fix=fix)
 
 
 def check_suspicious_boxes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:

@@ -11,9 +11,11 @@ from jaxtyping import Int64
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.folder import Folder
 from farfield.datasets.unread import unread_files
+from farfield.errors import FarfieldError
+from farfield.files.boxes_csv import zeros_note
 from farfield.frame.drive import BREAK_PERIODS
 from farfield.inspection.doctor.survey import Finding, Survey, counted
-from farfield.sync.stamps import StreamStats, health
+from farfield.sync.stamps import StreamStats, clock_offset_note, health
 
 
 def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -36,6 +38,7 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         )
     yield _labels(survey)
     yield from _stray_labels(survey)
+    yield from _assumptions(survey)
     images = ", ".join(f"{number} of {name}" for name, number in survey.images.items())
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
     yield _calibration(survey)
@@ -115,8 +118,19 @@ def _stray_labels(survey: Survey) -> Iterator[Finding]:
             topic="labels",
             what=f"{len(strays)} annotations belong to no cloud",
             where=strays[0],
-            fix=f"Name them like the clouds, such as {reader.frame_ids[0]}.",
+            fix=f"Name them like the clouds, such as {reader.frame_ids[0]}. "
+            f"{zeros_note([stray.rpartition(' ')[2] for stray in strays], reader.frame_ids)}".rstrip(),
         )
+
+
+def _assumptions(survey: Survey) -> Iterator[Finding]:
+    """What the reader decided from the data."""
+    try:
+        sentences = survey.dataset.unwrapped.assumptions
+    except FarfieldError:
+        return  # the survey has reported it
+    for sentence in sentences:
+        yield Finding(severity="warn", topic="reading", what=sentence)
 
 
 def check_timing(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -259,6 +273,8 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
     if breaks and name == FRAMES:
         drive = max(breaks, key=lambda key: breaks[key])
         text = f"a break of {breaks[drive] / 1e9:.1f} s within a drive; {counted(len(breaks), 'drive')} with one"
+        note = clock_offset_note((breaks[drive] - (by[drive].period_ns or 0)) / 1e9)
+        text += f". {note}" if note else ""
         fix = "What stands before and after belongs to two drives: sweeps and tracks across it are wrong."
         yield Finding(severity="warn", topic="stamps", what=text, where=drive, fix=fix)
 

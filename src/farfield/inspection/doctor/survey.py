@@ -1,8 +1,11 @@
 """What the doctor reads, once, of a data set, and the findings and the report that come of it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from hashlib import blake2b
+from os import SEEK_END
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +13,7 @@ from jaxtyping import Float
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Cloud, Frame
+from farfield.frame.cloud import CLOUD_SUFFIXES
 from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 
 # What the doctor finds, and how it prints.
@@ -98,6 +102,7 @@ class DoctorReport:
         return "\n".join([*lines, *([f"not there: {', '.join(self.absent)}"] if self.absent else [])])
 
 
+_PART_BYTES = 4096
 _BLOCK = 10  # frames that a worker reads at a time
 
 
@@ -116,6 +121,14 @@ class SurveyFrame:
         return np.zeros((0, 3)) if first is None else first.points_m.astype(np.float64)
 
 
+class FrameFacts(NamedTuple):
+    """A frame's (sequence, frame), its time and its pose in the world, shape (4, 4), both None where not known."""
+
+    key: tuple[str, str]
+    time_ns: int | None
+    world_T_frame: Float[np.ndarray, "4 4"] | None
+
+
 @dataclass(kw_only=True)
 class SurveyBlock:
     """What some frames hold.
@@ -128,6 +141,9 @@ class SurveyBlock:
         sensor_times_ns: Times of each frame's sensors, by name, where they are known.
         pair_dt_ms: Uniform minus Gaussian times of the paired frames.
         boxes: Boxes of every annotated frame.
+        box_frames: Which frames these are.
+        image_sizes: Frames by image's name, width and height, of those whose clouds were read.
+        clouds_by_digest: Paths of all frames' cloud files by a digest of their size, beginning and end.
         raw_labels: How often each class name stands in the files, where a reader tells.
         unlabelled: Number of frames without annotation.
         samples: Frames whose clouds were read.
@@ -141,6 +157,9 @@ class SurveyBlock:
     sensor_times_ns: list[dict[str, int]] = field(default_factory=list)
     pair_dt_ms: list[float] = field(default_factory=list)
     boxes: list[Boxes] = field(default_factory=list)
+    box_frames: list[FrameFacts] = field(default_factory=list)
+    image_sizes: dict[tuple[str, int, int], list[str]] = field(default_factory=dict)
+    clouds_by_digest: dict[str, list[str]] = field(default_factory=dict)
     raw_labels: dict[str, int] = field(default_factory=dict)
     unlabelled: int = 0
     samples: list[SurveyFrame] = field(default_factory=list)
@@ -158,6 +177,11 @@ class SurveyBlock:
         self.sensor_times_ns += others.sensor_times_ns
         self.pair_dt_ms += others.pair_dt_ms
         self.boxes += others.boxes
+        self.box_frames += others.box_frames
+        for name_and_size, frames in others.image_sizes.items():
+            self.image_sizes.setdefault(name_and_size, []).extend(frames)
+        for digest, paths in others.clouds_by_digest.items():
+            self.clouds_by_digest.setdefault(digest, []).extend(paths)
         self.unlabelled += others.unlabelled
         self.samples += others.samples
         self.damaged += others.damaged
@@ -207,8 +231,10 @@ class _BlockSurvey:
                 block.sensor_times_ns.append({})
                 continue
             _count_sensors(block, frame)
+            _digest_files(block, self.dataset.files(index))
             boxes = _boxes(block, frame)
             if index in self.chosen:
+                _measure_images(block, frame)
                 block.samples.append(SurveyFrame(key=frame.key, clouds=_clouds(block, frame), boxes=boxes))
         return UnitResult(value=block)
 
@@ -256,7 +282,40 @@ def _boxes(block: SurveyBlock, frame: Frame) -> Boxes | None:
         block.damaged.append(str(error))
         return None
     block.boxes.append(boxes)
+    block.box_frames.append(FrameFacts(frame.key, frame.time_ns, frame.world_T_frame))
     return boxes
+
+
+def _digest_files(block: SurveyBlock, paths: Sequence[Path]) -> None:
+    """Digests that are equal for files of equal content, and hardly for others; of small parts, for all frames."""
+    for path in paths:
+        if path.suffix.lower() not in CLOUD_SUFFIXES:
+            continue
+        try:
+            with path.open("rb") as handle:
+                size = handle.seek(0, SEEK_END)
+                handle.seek(0)
+                parts = [handle.read(_PART_BYTES)]
+                for at in (size // 2, max(size - _PART_BYTES, 0)):
+                    handle.seek(at)
+                    parts.append(handle.read(_PART_BYTES))
+        except OSError:
+            continue  # reported where the cloud is read
+        digest = blake2b(b"".join([str(size).encode(), *parts]), digest_size=16).hexdigest()
+        block.clouds_by_digest.setdefault(digest, []).append(str(path))
+
+
+def _measure_images(block: SurveyBlock, frame: Frame) -> None:
+    """Sizes of the images whose cameras say for what size they are calibrated."""
+    for name, camera in frame.cameras.items():
+        if name not in frame.images or not camera.width_px:
+            continue
+        try:
+            height, width = frame.images[name].shape[:2]
+        except (FarfieldError, OSError, ValueError) as error:
+            block.damaged.append(str(error))
+            continue
+        block.image_sizes.setdefault((name, width, height), []).append("/".join(frame.key))
 
 
 def _clouds(block: SurveyBlock, frame: Frame) -> dict[str, Cloud]:

@@ -4,10 +4,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from farfield.errors import ConfigError
 from farfield.frame.annotation import Annotation
 from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.detections import Detections, Protocol
-from farfield.metrics.kitti.evaluation import KittiResult, KittiSettings, evaluate_kitti, weighted_kitti
+from farfield.metrics.frames import has_label
+from farfield.metrics.kitti.evaluation import Details, KittiResult, KittiSettings, evaluate_kitti, weighted_kitti
 from farfield.metrics.presenting import CurveLine, CurvePanel, HitRule, Presentation, Presenter, panels
 from farfield.metrics.result import figure_names, value_at
 
@@ -60,20 +64,25 @@ class KittiProtocol(Protocol):
     uses = frozenset({"details"})
 
     def evaluate(self, detections: Detections, settings: KittiSettings) -> KittiResult:
-        """AP by overlap, recall points and difficulty; one difficulty, and a note, where there are no 2D facts."""
+        """AP by overlap, recall points and difficulty; one difficulty, and a note, where there are no 2D facts.
+
+        Raises:
+            ConfigError: If no annotated or no predicted box has the 2D facts of its files, so that none counts.
+        """
+        lacking = _without_facts(detections, settings)
         result = evaluate_kitti(
             detections.boxes,
             detections.annotated,
             settings,
             prediction_details=detections.prediction_details,
-            annotation_details={key: facts_of(annotation) for key, annotation in detections.annotations.items()},
+            annotation_details=_annotated_facts(detections),
             drives=detections.drives,
         )
         some = [annotation for annotation in detections.annotations.values() if len(annotation)]
         if not some or all(name in annotation.details for annotation in some for name in FACTS):
-            return result
+            return replace(result, notes=(*result.notes, *lacking))
         note = f"boxes are annotated without {', '.join(FACTS)}, so all are of one difficulty, all"
-        return replace(result, notes=(*result.notes, note))
+        return replace(result, notes=(*result.notes, *lacking, note))
 
     def weighted(self, detections: Detections, settings: KittiSettings) -> Weighted:
         """AP of the whole and of each range bin as functions of group weights."""
@@ -82,7 +91,7 @@ class KittiProtocol(Protocol):
             detections.annotated,
             settings,
             prediction_details=detections.prediction_details,
-            annotation_details={key: facts_of(annotation) for key, annotation in detections.annotations.items()},
+            annotation_details=_annotated_facts(detections),
             drives=detections.drives,
         )
 
@@ -92,6 +101,68 @@ class KittiProtocol(Protocol):
         return {name: value_at(result, name) for name in sorted(names, key=_rank)}
 
 
+def _annotated_facts(detections: Detections) -> Details:
+    """The 2D facts of the annotation; an occlusion that is known of no box hides none."""
+    facts = {key: facts_of(annotation) for key, annotation in detections.annotations.items()}
+    if not _no_occlusion(facts):
+        return facts
+    return {
+        key: columns | {"occlusion": np.zeros_like(columns["occlusion"])} if "occlusion" in columns else columns
+        for key, columns in facts.items()
+    }
+
+
+def _no_occlusion(facts: Details) -> int:
+    """The number of annotated boxes where the occlusion of each is unknown; 0 where that of one is known."""
+    columns = [np.asarray(columns["occlusion"]) for columns in facts.values() if "occlusion" in columns]
+    values = np.concatenate(columns) if columns else np.zeros(0)
+    return len(values) if (values == _HIDDEN_UNKNOWN).all() else 0
+
+
+def _without_facts(detections: Detections, settings: KittiSettings) -> list[str]:
+    """Notes on boxes of which a 2D fact is not known: those that KITTI's rules pass over, and what was done without it.
+
+    Raises:
+        ConfigError: If no annotated, or no predicted, box has a 2D box.
+    """
+    annotated = {key: annotation.details for key, annotation in detections.annotations.items()}
+    unknown = _no_occlusion(annotated)
+    notes = [_NO_OCCLUSION.format(unknown)] if unknown else []
+    sides = (
+        ("annotated", detections.annotated, annotated, "box_px"),
+        *([] if unknown else [("annotated", detections.annotated, annotated, "occlusion")]),
+        ("predicted", detections.boxes, detections.prediction_details, "box_px"),
+    )
+    for side, boxes_by_frame, details, fact in sides:
+        count = lacking = label_count = label_lacking = 0
+        for key, boxes in boxes_by_frame.items():
+            if key not in annotated or fact not in details.get(key, {}) or not len(boxes):
+                continue
+            values = np.asarray(details[key][fact])
+            without = values == _HIDDEN_UNKNOWN if fact == "occlusion" else values[:, 3] == values[:, 1]
+            own = has_label(boxes, settings.label, settings.relabel)
+            count, lacking = count + len(boxes), lacking + int(without.sum())
+            label_count, label_lacking = label_count + int(own.sum()), label_lacking + int((without & own).sum())
+        what = _FACT_WORDS[fact]
+        if lacking and lacking == count:
+            raise ConfigError(
+                f"protocol kitti: expected {what} of {side} boxes, which its difficulties need, found none in all "
+                f"{count}: no box would count. Score them by --protocol dds or nuscenes, which need no image"
+            )
+        if label_lacking:
+            notes.append(
+                f"{label_lacking} of {label_count} {side} boxes of {settings.label!r} have no {what}: KITTI's rules "
+                "leave them out; dds and nuscenes count them"
+            )
+    return notes
+
+
+_HIDDEN_UNKNOWN = 3
+_NO_OCCLUSION = (
+    "the occlusion of all {} annotated boxes is not known (3): easy, moderate and hard are by height and truncation "
+    "alone, so that hidden boxes count, which KITTI's own figures leave out"
+)
+_FACT_WORDS = {"box_px": "2D box in the image (0 0 0 0 or -1 -1 -1 -1)", "occlusion": "known occlusion (3)"}
 _MEASURES = {"3d": "AP3D", "bev": "APBEV"}
 _ORDER = ("moderate", "easy", "hard", "all")
 _GLOSSARY = (

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes
+from farfield.files.yaml_text import plain_yaml
 from farfield.metrics.deciding import Hypothesis, Scalar, figure
 from farfield.metrics.deciding.decision import Kind
 from farfield.vocabulary.published_tables import OVERALL, PUBLISHED_TABLES, PublishedTable
@@ -303,7 +304,7 @@ def read_declared(
     """
     data = read_bytes(path, max_bytes=_MAX_BYTES)
     try:
-        tree = yaml.safe_load(data.decode("utf-8"))
+        tree = plain_yaml(data.decode("utf-8"))
         document = model.model_validate({**tree, **changes} if changes else tree)
     except ValidationError as error:
         raise FileFormatError(path, where="keys", expected=expected, got=plain(error)) from None
