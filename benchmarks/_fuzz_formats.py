@@ -453,7 +453,6 @@ LISTED = (b"0 0000000005\n1 0000000006\n", b"\xef\xbb\xbf# sweeps\r\n7\ta b\r\n"
 TWICE_LISTED = (b"0 a\n0 b\n", b"0 a\n1 a\n", b"a 0\n")
 WRONG_MAPPINGS = (
     b"classes: {Car: vehicle, Car: animal}\n",
-    b"classes: {0: vehicle}\n",
     b"class: {Auto: vehicle}\n",
     b'classes: {Auto: "a\\nb"}\n',
 )

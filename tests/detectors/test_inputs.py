@@ -22,7 +22,7 @@ def test_columns_come_by_name_in_the_order_asked_for():
     rows = cloud_tensor(given, (*POSITION, "doppler_m_s", "power"))
     assert rows.dtype == torch.float32
     assert rows[:, 3:].tolist() == [[5, 1], [6, 2], [7, 3], [8, 4]]
-    assert torch.equal(cloud_tensor(given, POSITION), torch.from_numpy(given.points_m))
+    assert torch.equal(cloud_tensor(given, POSITION), torch.tensor(given.points_m))
     assert features_of((*POSITION, "doppler_m_s", "power")) == [3, 4]
 
 
