@@ -190,8 +190,6 @@ def test_one_name_in_two_forms_of_unicode_is_one_class(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("classes:\n  Car: animal\n  Car: vehicle\n", "'Car' twice"),
-        ("classes: {0: vehicle}\n", "quotes"),
-        ("classes: {No: vehicle}\n", "quotes"),
         ('classes: {Car: "a\\nb"}\n', "one line"),
     ],
 )
@@ -200,6 +198,13 @@ def test_a_mapping_says_one_thing(tmp_path: Path, text: str, message: str) -> No
     (root / "mapping.yaml").write_text(text)
     with pytest.raises(ConfigError, match=message):
         open_dataset(root)
+
+
+@pytest.mark.parametrize("name", ["0", "No"])
+def test_numbers_and_no_are_names_of_classes(tmp_path: Path, name: str) -> None:
+    root = own(tmp_path / "own", f"a,{name},{BOX},0\n")
+    (root / "mapping.yaml").write_text(f"classes: {{{name}: trailer}}\n")
+    assert open_dataset(root).annotation(0).boxes.label.tolist() == ["trailer"]
 
 
 def test_the_doctor_names_sizes_out_of_order_and_tracks_twice_in_a_frame(tmp_path: Path) -> None:
