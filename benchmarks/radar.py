@@ -19,7 +19,7 @@ from farfield.figures.camera import box_lines
 from farfield.figures.style import ANNOTATED, INK, MUTED, figure_bytes, house_style, new_figure
 from farfield.frame import Boxes, Cloud, Frame
 from farfield.geometry.boxes import count_points_in_boxes
-from farfield.geometry.poses import pose_from_yaw
+from farfield.geometry.poses import pose_from_yaw, transform_points
 from farfield.inspection.statistics.radar import map_statistics
 from farfield.radar.products import polar3d_from_moments, zyx_cube
 from farfield.radar.turning import CELL_M
@@ -228,7 +228,8 @@ def alternatives(frame: Frame, boxes: Boxes) -> list[str]:
     moving = boxes[frame.annotation.moving]
     lines = [f"  {'':<34} points in boxes, of them faster than {STILL_M_S} m/s in moving boxes"]
     for name, motion in cases.items():
-        cloud = own.transform(motion)
+        points_m = transform_points(motion, own.points_m.astype(np.float64))  # one is a mirror, which no cloud takes
+        cloud = Cloud(points_m.astype(np.float32), None, own.extra)
         fast = cloud[np.abs(cloud.extra[VELOCITY]) > STILL_M_S]
         inside = near_any(cloud.points_m, boxes, MARGIN_M).sum()
         lines.append(f"  {name:<34} {inside:6d} {near_any(fast.points_m, moving, MARGIN_M).sum():6d}")

@@ -195,8 +195,9 @@ def training_text(provenance: Mapping[str, Any]) -> str:
     if not experiment or not experiment.get("data") or not experiment.get("training"):
         return ""
     data, training = experiment["data"], experiment["training"]
-    groups, streams = {"": data} if "path" in data else data, provenance.get("streams") or {}
-    frames = {name: streams[name]["frames"] if name in streams else provenance.get("frames") for name in groups}
+    by_stream = all(isinstance(group, Mapping) for group in data.values())
+    groups, streams = data if by_stream else {"": data}, provenance.get("streams") or {}
+    frames = {name: (streams.get(name) or provenance).get("frames") for name in groups}
     sources = [f"{frames[name]} {_source_text(group)}" for name, group in groups.items()]
     method, start = experiment.get("method", {}).get("name", "supervised"), provenance.get("start")
     commit = provenance.get("environment", {}).get("commit") or "unknown"
@@ -211,10 +212,10 @@ def training_text(provenance: Mapping[str, Any]) -> str:
 
 def _source_text(data: Mapping[str, Any]) -> str:
     """What the frames of a stream are, and which clouds of them were read."""
-    simulation, clouds = data.get("simulate"), data["clouds"]
+    simulation, clouds = data.get("simulate"), data.get("clouds") or ("not named",)
     names = [name for group in clouds.values() for name in group] if isinstance(clouds, Mapping) else clouds
     if simulation:
-        source = f"simulated frames (preset {simulation['preset']}, seed {simulation['seed']})"
+        source = f"simulated frames (preset {simulation.get('preset')}, seed {simulation.get('seed')})"
     else:
-        source = f"frames of {data['path']}"
+        source = f"frames of {data.get('path') or 'a folder not named'}"
     return f"{source}, clouds {' and '.join(names)}"

@@ -500,11 +500,15 @@ def columns_shown(paths: Sequence[Path]) -> int | None:
     return columns.count if columns.likely else None
 
 
+_NOT_NPY = (ValueError, OSError, EOFError, OverflowError, SyntaxError, tokenize.TokenError)
+"""What numpy raises of a damaged file, whose header it parses as a Python literal."""
+
+
 def _read_npy(path: Path) -> Shaped[np.ndarray, "..."]:
     check_itself(path)
     try:
         rows = np.load(path, allow_pickle=False, mmap_mode="r")  # the header's size is checked against the file's
-    except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:  # numpy parses a Python literal
+    except _NOT_NPY as error:
         raise DatasetError(f"{path}: expected a .npy file of numbers, found: {error}") from error
     if rows.dtype.names is not None:  # fields by name, one row a point or organised in rows and columns
         kinds = {name: rows.dtype[name].base for name in rows.dtype.names}
