@@ -163,7 +163,7 @@ np.zeros((5, 4), "<f4").tofile(root / "training" / "velodyne" / "000000.bin")
 (root / "training" / "label_2" / "000000.txt").write_text("Car 0 0 0 10 10 50 50 1.5 1.6 4.0 1 1.6 20 0.0\\n")
 eye = "1 0 0 0 0 1 0 0 0 0 1 0"
 calib = "".join(f"P{i}: {eye}\\n" for i in range(4)) + "R0_rect: 1 0 0 0 1 0 0 0 1\\n"
-calib += f"Tr_velo_to_cam: {eye}\\nTr_imu_to_velo: {eye}\\n"
+calib += f"Tr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\\nTr_imu_to_velo: {eye}\\n"
 (root / "training" / "calib" / "000000.txt").write_text(calib)
 from farfield.datasets.kitti.object import Kitti
 frame = Kitti(root)[0]
