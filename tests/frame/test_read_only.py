@@ -80,6 +80,8 @@ def test_the_caller_may_go_on_writing_into_arrays_of_their_own() -> None:
     Boxes(centre_m=centre_m, size_m=np.ones((1, 3)), yaw_rad=np.zeros(1))
     Cloud(points_m)
     centre_m[0], points_m[0] = 2.0, 2.0
+    assert centre_m.tolist() == [[2.0, 2.0, 2.0]]
+    assert points_m[0].tolist() == [2.0, 2.0, 2.0]
 
 
 def _cheat(frame: Frame) -> Boxes:

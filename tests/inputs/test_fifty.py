@@ -10,9 +10,7 @@ import pytest
 from wrong_inputs import (
     CAR,
     Capsys,
-    detections,
     findings,
-    own_folder,
     refused,
     row,
     run,
@@ -24,16 +22,6 @@ from wrong_inputs import (
 
 from farfield.api import open_dataset
 from farfield.errors import FarfieldError
-
-
-@pytest.fixture
-def base(tmp_path: Path) -> Path:
-    return own_folder(tmp_path / "drive")
-
-
-@pytest.fixture
-def predictions(tmp_path: Path) -> Path:
-    return detections(tmp_path / "predictions.csv")
 
 
 def test_base_is_sound(base: Path, predictions: Path, capsys: Capsys) -> None:

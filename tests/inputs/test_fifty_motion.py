@@ -11,9 +11,7 @@ from wrong_inputs import (
     FRAMES,
     HEADER,
     Capsys,
-    detections,
     findings,
-    own_folder,
     refused,
     row,
     run,
@@ -25,17 +23,6 @@ from wrong_inputs import (
 from farfield.api import open_dataset
 from farfield.cli import main
 from farfield.errors import FarfieldError
-
-
-@pytest.fixture
-def base(tmp_path: Path) -> Path:
-    return own_folder(tmp_path / "drive")
-
-
-@pytest.fixture
-def predictions(tmp_path: Path) -> Path:
-    return detections(tmp_path / "predictions.csv")
-
 
 # D. Geometry that contradicts itself.
 

@@ -353,7 +353,7 @@ class Folder(Dataset):
 
     @cached_property
     def _calibration(self) -> tuple[dict[str, Camera], tuple[str, ...]]:
-        """The cameras, and what is to be said of the file."""
+        """The cameras, and notes on what of the file cannot be used."""
         return usable_cameras(self.calibration_file)
 
     @property

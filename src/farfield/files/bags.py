@@ -345,7 +345,7 @@ def check_kind(path: Path) -> None:
 
 
 def ros1_error(path: Path) -> FileFormatError:
-    """What is said of a ROS 1 bag, by whatever suffix it goes."""
+    """The error of a ROS 1 bag, whatever its suffix."""
     fix = f"Convert the bag: {TO_ROS2} (pip install rosbags); of an MCAP of ROS 1 the .bag that it was made from."
     return FileFormatError(path, where="the file", expected="a ROS 2 bag", got="a bag of ROS 1", fix=fix)
 

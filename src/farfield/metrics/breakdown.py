@@ -40,7 +40,7 @@ def parts(
     Returns:
         By kind and value, such as ``["road"]["urban"]``, in the order of the vocabulary.
     """
-    detections = replace(detections.counted(), checked=True)  # what is odd is said of the whole
+    detections = replace(detections.counted(), checked=True)  # notes on oddities are those of the whole
     parted = dict[str, dict[str, Detections]]()
     for kind in (kind for kind in CONDITIONS if kind in kinds):
         stated = {key: conditions[kind] for key, conditions in detections.conditions.items() if kind in conditions}

@@ -262,7 +262,7 @@ def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, A
     """Refuse another experiment or other data. More steps than before are the same run, prolonged."""
     before, now = dict(flatten(_current_names(saved.get("experiment")))), dict(flatten(provenance.get("experiment")))
     names = [name for name in {**before, **now} if before.get(name) != now.get(name) and name != STEPS]
-    # Earlier versions said of any data that they were simulated, if the experiment had a way to; fingerprints count
+    # Earlier versions recorded any data as simulated, if the experiment had a way to; fingerprints count
     names = [name for name in names if ".simulate" not in name or now.get(name) is not None]
     if names:
         changes = [f"{name} was {before.get(name)!r}, is {now.get(name)!r}" for name in sorted(names)[:5]]
