@@ -1,13 +1,20 @@
 """The frozen validation split: its record, and frames against it."""
 
+import json
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame
 from farfield.simulation import find_preset, simulate_frame
-from farfield.simulation.frozen import compare, frame_record, frozen_records, split_digest
+from farfield.simulation.frozen import FROZEN, compare, frame_record, frozen_records, split_digest
+from farfield.simulation.presets import PRESETS
 
+ROOT = Path(__file__).resolve().parents[2]
 NAME = "cirrus-sim-val-v2"
 SHA256 = "0e2da4fda727f4d782a1ec724069c05e265ddca1ce70cb62d054cb8aa0fd8b45"
 
@@ -66,3 +73,22 @@ def test_a_changed_frame_is_noticed() -> None:
 def test_unknown_split_is_refused() -> None:
     with pytest.raises(ConfigError, match="expected one of cirrus-sim-val-v2"):
         frozen_records("cirrus-sim-val-v9")
+
+
+def test_a_split_is_frozen_where_its_record_lies() -> None:
+    assert NAME in FROZEN
+    assert set(FROZEN) <= set(PRESETS)
+
+
+@pytest.mark.slow
+def test_one_command_records_a_split(tmp_path: Path) -> None:
+    record = tmp_path / "mini.json"
+    command = [sys.executable, "tools/freeze_split.py", "cirrus-sim-mini", "--output", str(record)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    tree = json.loads(record.read_text(encoding="utf-8"))
+    rows = {(row[0], row[1]): row[2:] for row in tree["frames"]}
+    assert list(rows) == [(sequence, index) for sequence in range(2) for index in range(3)]
+    own = frame_record(simulate_frame("cirrus-sim-mini", sequence=1, index=2))
+    assert rows[1, 2][1:] == [*own.points, own.boxes]
+    assert tree["sha256"] in done.stdout

@@ -16,9 +16,12 @@ from typing import Any
 import numpy as np
 
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.json_text import plain_json
 from farfield.frame import Frame
 
-FROZEN = ("cirrus-sim-val-v2",)
+_HOME = files("farfield.simulation")
+FROZEN = tuple(sorted(file.name.removesuffix(".json") for file in _HOME.iterdir() if file.name.endswith(".json")))
+"""Splits of which a record lies here: ``tools/freeze_split.py`` writes one."""
 _COUNT_TOLERANCE = 0.002
 
 
@@ -72,7 +75,7 @@ def frozen_records(name: str) -> dict[tuple[int, int], FrozenFrame]:
     """
     if name not in FROZEN:
         raise ConfigError(f"frozen split: expected one of {', '.join(FROZEN)}; got {name!r}")
-    stored: dict[str, Any] = json.loads(files("farfield.simulation").joinpath(f"{name}.json").read_text("utf-8"))
+    stored: dict[str, Any] = plain_json(_HOME.joinpath(f"{name}.json").read_bytes())
     records = {
         (sequence, index): FrozenFrame(digest, (gaussian, uniform), boxes)
         for sequence, index, digest, gaussian, uniform, boxes in stored["frames"]

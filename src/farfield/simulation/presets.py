@@ -5,7 +5,7 @@ from typing import Any
 
 from farfield.errors import ConfigError
 from farfield.simulation.rig import RIGS
-from farfield.vocabulary.conditions import SIDES, TIMES, WEATHERS
+from farfield.vocabulary.conditions import SIDES, TIMES, WEATHERS, WORLDS
 from farfield.vocabulary.kradar import OUSTER_LINES, SEQUENCES
 from farfield.vocabulary.patterns import PATTERNS
 
@@ -94,6 +94,8 @@ class Preset:
         columns: Shots a line of a Luminar, or columns of a LiDAR that turns.
         loose_boxes: Whether annotated full boxes are as much larger than the bodies as K-Radar's.
         traffic: On which side it keeps, "right" or "left"; the left is the mirror image of the right.
+        world: What stands beside and on its roads: "v2", or "v3" with plants that rays enter, street furniture, rows of
+            parked vehicles, and bodies with the surfaces of real ones.
     """
 
     name: str
@@ -108,11 +110,12 @@ class Preset:
     columns: int = 938
     loose_boxes: bool = False
     traffic: str = "right"
+    world: str = "v2"
 
     def as_json(self) -> dict[str, Any]:
-        """All settings as JSON takes them; the side only where it is the left, so that others are named as before."""
-        settings = asdict(self)
-        return settings if self.traffic != "right" else {k: v for k, v in settings.items() if k != "traffic"}
+        """All settings as JSON takes them; side and world only where they are others, so that names stay as before."""
+        usual = {"traffic": "right", "world": "v2"}
+        return {name: value for name, value in asdict(self).items() if usual.get(name) != value}
 
     def segment(self, sequence: int) -> Segment:
         """The segment of a sequence of any number."""
@@ -218,6 +221,15 @@ PRESETS: dict[str, Preset] = {
             seed=731_002,
         ),
         Preset(
+            "cirrus-sim-val-v3",
+            "cirrus",
+            _segments(CIRRUS_SEGMENT_NAME, _BOTH, 20, duration_s=20.5),
+            PATTERNS,
+            stride_s=1.0,
+            seed=731_002,
+            world="v3",
+        ),
+        Preset(
             "kradar-sim",
             "kradar",
             _kradar_segments(),
@@ -309,6 +321,7 @@ def find_preset(name: str, *, weather: str | None = None, time: str | None = Non
     weathers = () if weather is None else tuple(name.strip() for name in weather.split(","))
     checks: list[tuple[str, Any, tuple[str, ...]]] = [("weather", name, WEATHERS) for name in weathers]
     checks += [("traffic", changes["traffic"], SIDES)] if "traffic" in changes else []
+    checks += [("world", changes["world"], WORLDS)] if "world" in changes else []
     checks += [("time of day", time, TIMES)] if time is not None else []
     for what, value, allowed in checks:
         if value not in allowed:

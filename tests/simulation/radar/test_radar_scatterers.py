@@ -10,12 +10,14 @@ from farfield.geometry.poses import pose, pose_from_yaw
 from farfield.simulation.bodies.actors import Actor
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box
+from farfield.simulation.bodies.plants import VOXEL_M, Leaves
+from farfield.simulation.foliage import Foliage, PlacedLeaves
 from farfield.simulation.radar.casting import cast_rays
 from farfield.simulation.radar.frame import measure
 from farfield.simulation.radar.model import RadarModel, radar_mount
 from farfield.simulation.radar.points import ScattererKind, Scatterers, availability, cell_snr, masked_db, object_snr_db
-from farfield.simulation.radar.rcs import slow_db
-from farfield.simulation.radar.scatterers import find_mirrors, radar_velocity_m_s, scatterers
+from farfield.simulation.radar.rcs import mean_rcs_dbsm, slow_db
+from farfield.simulation.radar.scatterers import find_mirrors, plants, radar_velocity_m_s, scatterers
 from farfield.simulation.trace import Body, Tracer
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.world.scene import SceneWindow
@@ -70,6 +72,73 @@ def test_a_car_gives_its_cross_section_where_it_stands():
     assert 10 * np.log10(np.mean([part.rcs_m2.sum() for part in own])) == pytest.approx(want, abs=2.5)
     assert np.concatenate([part.position_m[:, 0] for part in own]).min() == pytest.approx(40.0, abs=0.2)
     assert np.abs(np.concatenate([part.velocity_m_s for part in own])).max() < 0.05
+
+
+@pytest.mark.parametrize(("kind", "yaw"), [("sedan", 0.0), ("hatch", np.pi), ("van", np.pi / 2)])
+@pytest.mark.parametrize("world", ["v2", "v3"])
+def test_bodies_of_both_worlds_give_the_cross_section_of_their_class(kind: str, yaw: float, world: str):
+    """Over ranges, where the road's reflection averages out: a mesh shares its level among its parts."""
+    actor = Actor(0, kind, CAR, np.random.SeedSequence(4), world)
+    tracer, shares = Tracer(actor.build()), []
+    for x in np.linspace(32.0, 75.0, 16):
+        boxed = scene([(x, 0.0)])
+        body = Body(tracer, pose_from_yaw(yaw, (x, 0.0, 0.0))[None], 0)
+        seen = see(replace(boxed, bodies=[boxed.bodies[0], body], actors=[actor], yaw_rad=np.array([yaw])), int(x))
+        level_db = mean_rcs_dbsm(actor, np.pi - yaw, float(x)) + slow_db(actor)
+        shares.append(seen.rcs_m2[seen.actor == 0].sum() / 10 ** (level_db / 10))
+    assert 10 * np.log10(np.mean(shares)) == pytest.approx(0.0, abs=1.0)
+
+
+def test_a_car_behind_a_hedge_is_weaker_and_the_hedge_has_echoes_that_move():
+    """A hedge 1.92 m thick takes 3 dB a metre each way and gives -12 dB of the area that is lit, by Rayleigh's law."""
+    count = np.array([12, 100, 25])
+    leaves = Leaves.of(np.full(count, 4.0), np.ones(count, dtype=bool), np.array([30.0, -8.0, -0.2]))
+    axes_m = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    hedge = Body(
+        Foliage([PlacedLeaves(leaves, 0, axes_m, 0.3, 0.5)], seed=1, anchor_m=np.zeros(3)), np.eye(4)[None], -1
+    )
+    bare = scene([(42.3, 0.0)])
+    hedged = replace(bare, bodies=[bare.bodies[0], hedge, *bare.bodies[1:]])
+    levels = []
+    for window in (bare, hedged):
+        frames = [see(window, seed) for seed in range(30)]
+        own = [seen.take(seen.actor == 0) for seen in frames]
+        levels.append(10 * np.log10(np.mean([part.rcs_m2.sum() for part in own])))
+    assert levels[0] - levels[1] == pytest.approx(2 * 3.0 * 12 * VOXEL_M, abs=2.0)
+    plant = frames[0].take(frames[0].kind == ScattererKind.PLANT)
+    assert not (see(bare).kind == ScattererKind.PLANT).any()
+    assert plant.range_m.min() > 29.9
+    assert np.median(plant.position_m[:, 0]) < 31.0  # most from the first metre
+    own_m_s = plant.velocity_m_s + EGO_M_S @ (plant.position_m / plant.range_m[:, None]).T
+    assert 0.1 < own_m_s.std() < 0.3
+    lit_m2 = 16.0 * 4.0 - 16.0 * 0.2
+    total = [seen.rcs_m2[seen.kind == ScattererKind.PLANT].sum() for seen in frames]
+    assert 10 * np.log10(np.mean(total) / lit_m2) == pytest.approx(-12.0, abs=1.5)
+
+
+def test_a_hedge_behind_twigs_echoes_and_the_air_between_them_does_not():
+    """0.16 m of twigs 10 m ahead, and 1.92 m of a hedge 40 m ahead."""
+    axes_m = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    placed = []
+    for number, (x, deep) in enumerate(((10.0, 1), (40.0, 12))):
+        count = np.array([deep, 100, 25])
+        leaves = Leaves.of(np.full(count, 4.0), np.ones(count, dtype=bool), np.array([x, -8.0, -0.2]))
+        placed.append(PlacedLeaves(leaves, number, axes_m, 0.3, 0.5))
+    foliage = Body(Foliage(placed, seed=1, anchor_m=np.zeros(3)), np.eye(4)[None], -1)
+    bare = scene([])
+    cast = cast_rays(replace(bare, bodies=[*bare.bodies, foliage]), POSE, 100.0, np.random.default_rng(2))
+    points = plants(cast, np.random.default_rng(3))
+    x = points.position_m[:, 0]
+    in_twigs, in_hedge = (x > 9.98) & (x < 10.18), (x > 39.98) & (x < 41.94)
+    assert (in_twigs | in_hedge).all()
+    up = points.position_m[:, 2] / x
+    through = (np.abs(points.position_m[:, 1] / x) < 0.18) & (up > -0.02) & (up < 0.065)
+    level = points.rcs_m2[through & in_hedge].sum() / points.rcs_m2[through & in_twigs].sum()
+    falls = 2 * 0.3 * np.log(10)  # 3 dB a metre, there and back
+    first, whole = (1 - np.exp(-falls * deep_m) for deep_m in (VOXEL_M, 13 * VOXEL_M))
+    assert in_hedge.sum() > 50
+    assert np.mean(in_hedge[through]) == pytest.approx(1 - first / whole, abs=0.05)
+    assert level > 1
 
 
 def test_hidden_cars_show_under_their_leader_only():

@@ -1,6 +1,8 @@
 """Recording from Python: silent, callbacks, data simulated where they are absent or begun."""
 
 import pickle
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 pytest.importorskip("embreex")
 
 from farfield.errors import ConfigError, DatasetError
+from farfield.jobs import folders
 from farfield.simulation import find_preset, simulate_frame
 from farfield.simulation.recording import RecordingSummary, SimulationConfig, ensure, record
 from farfield.simulation.rig import RIGS, FrameWriter
@@ -33,7 +36,7 @@ def test_data_that_are_absent_are_simulated_and_said(written: tuple[RecordingSum
     assert recorded.verdicts == ("written", "written")
     assert recorded.recording.plan == (2,)
     assert len(list(recorded.out.rglob("*.ffcloud"))) == 4  # Cirrus' layout has a cache
-    assert lines[0] == "preset cirrus-sim-mini, seed 4: 2 frames in 1 sequences, 2 still to write"
+    assert lines[0] == "preset cirrus-sim-mini, seed 4: 2 frames in 1 sequence, 2 still to write"
     assert lines[-1] == f"wrote 2 frames into {recorded.out}"
     assert pickle.loads(pickle.dumps(recorded)) == recorded
 
@@ -62,6 +65,29 @@ def test_other_data_are_left_as_they_are(tmp_path: Path) -> None:
 def test_begun_with_other_settings_is_an_error(written: tuple[RecordingSummary, list[str]]) -> None:
     with pytest.raises(DatasetError, match="differs in: seed"):
         ensure(WANTED.model_copy(update={"seed": 5}), written[0].out)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="other locks")
+def test_several_that_need_the_same_data_at_once_wait_for_the_one_that_simulates_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folders, "_PATIENCE_S", 0.05)  # far less than it takes
+    out, lines = tmp_path / "deep" / "data", [list[str]() for _ in range(5)]
+    with ThreadPoolExecutor(5) as pool:  # a lock is a thread's, as it is a process'
+        summaries = [*pool.map(lambda words: ensure(WANTED, out, report=words.append), lines)]
+    assert sorted(len(summary.verdicts) for summary in summaries if summary is not None) == [0, 0, 0, 0, 2]
+    assert sum(f"another command simulates {out}" in " ".join(words) for words in lines) >= 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="other locks")
+def test_data_whose_command_was_killed_as_it_began_are_simulated(tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    out.mkdir()
+    (out / ".simulation.json.0123456789ab.part").touch()
+    summary = ensure(WANTED, out)
+    assert summary is not None
+    assert summary.verdicts == ("written", "written")
+    assert not [*out.glob(".*.part")]
 
 
 def test_sensors_are_names_or_one_text(tmp_path: Path) -> None:

@@ -100,3 +100,16 @@ def test_another_side_is_refused_and_the_right_says_nothing_new() -> None:
         WorldScene("urban", np.random.SeedSequence(1), duration_s=5.0, traffic="middle")
     assert "traffic" not in find_preset("cirrus-sim").as_json()
     assert find_preset("cirrus-sim", traffic="left").as_json()["traffic"] == "left"
+
+
+def test_drivers_sit_on_the_other_side_in_the_newer_world() -> None:
+    """The older world's bodies stay as they were."""
+    for world, flip in (("v2", 1.0), ("v3", -1.0)):
+        right, left = (
+            WorldScene("urban", np.random.SeedSequence(4), duration_s=6.0, traffic=side, world=world).window(3.0)
+            for side in ("right", "left")
+        )
+        users = [(a.tracer.mesh, b.tracer.mesh) for a, b in zip(right.bodies, left.bodies, strict=True) if a.actor >= 0]
+        assert len(users) > 5
+        for one, other in users:
+            np.testing.assert_array_equal(other.vertices_m, one.vertices_m * [1.0, flip, 1.0])

@@ -15,7 +15,9 @@ from jaxtyping import Float
 
 from farfield.errors import ConfigError
 from farfield.geometry.boxes import Boxes
+from farfield.simulation.bodies.lorries import build_lorry
 from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.bodies.outlines import OUTLINES
 from farfield.simulation.bodies.people import (
     build_animal,
     build_cyclist,
@@ -26,6 +28,7 @@ from farfield.simulation.bodies.people import (
     build_wheeled_person,
     cycle_length_m,
 )
+from farfield.simulation.bodies.shells import build_shell
 from farfield.simulation.bodies.vehicles import (
     BODY_STYLES,
     TRUCK_STYLES,
@@ -244,6 +247,7 @@ _RIGID: dict[str, Callable[..., Mesh]] = {
     "wheelchair": build_wheeled_person,
     "object": build_object,
 }
+_SHELL_KEY = 0x5348  # of the stream that draws bodies of world v3
 _MOVING: dict[str, Callable[..., Mesh]] = {
     "cyclist": build_cyclist,
     "pedestrian": build_pedestrian,
@@ -263,12 +267,14 @@ class Actor:
         kind: Body, a key of the size table: "sedan", "semi", "pedestrian"...
         size_m: Length, width, height of the whole body, over its whole gait.
         seed: What draws its shape and paint.
+        world: Whose bodies: "v2", or "v3" with curved skins over measured outlines, drawn from a stream of their own.
     """
 
     track_id: int
     kind: str
     size_m: tuple[float, float, float]
     seed: np.random.SeedSequence
+    world: str = "v2"
 
     @property
     def label(self) -> str:
@@ -286,8 +292,12 @@ class Actor:
         Args:
             phase: Phase of its gait in [0, 1), or None for one that stands; rigid bodies ignore it.
         """
-        rng = np.random.default_rng(self.seed)
         size = np.asarray(self.size_m)
+        if self.world == "v3" and self.kind in (*OUTLINES, *TRUCK_STYLES):
+            own = np.random.SeedSequence(entropy=self.seed.entropy, spawn_key=(*self.seed.spawn_key, _SHELL_KEY))
+            build = build_shell if self.kind in OUTLINES else build_lorry
+            return build(self.kind, size, np.random.default_rng(own))
+        rng = np.random.default_rng(self.seed)
         if self.kind in BODY_STYLES:
             return build_car(self.kind, size, rng)
         if self.kind in TRUCK_STYLES:

@@ -15,7 +15,7 @@ from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert, transform_points
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh
-from farfield.simulation.trace import Tracer
+from farfield.simulation.trace import Caster
 from farfield.simulation.world.scene import SceneWindow, at_knots
 
 # What a triangle looks like: its colour by material and tint, its normal, and what it emits at night
@@ -104,10 +104,10 @@ class Appearance:
     material: UInt8[np.ndarray, " f"]
 
 
-_KNOWN: WeakKeyDictionary[Tracer, Appearance] = WeakKeyDictionary()
+_KNOWN: WeakKeyDictionary[Caster, Appearance] = WeakKeyDictionary()
 
 
-def appearance_of(tracer: Tracer, *, moving: bool) -> Appearance:
+def appearance_of(tracer: Caster, *, moving: bool) -> Appearance:
     """Appearance of a tracer's triangles; computed once a tracer.
 
     Args:
@@ -200,7 +200,7 @@ class RayGrid:
 class PlacedBody:
     """One body at the reference moment: its tracer, pose, road user (-1: fixed), and its first triangle among all."""
 
-    tracer: Tracer
+    tracer: Caster
     world_T_body: Float[np.ndarray, "4 4"]
     actor: int
     first_face: int
@@ -335,7 +335,7 @@ def _cast_one(image: RayImage, body: PlacedBody, subset: Int32[np.ndarray, " k"]
         rays = rays @ turn.astype(np.float32).T
     starts = np.empty_like(rays)
     starts[:] = start - body.tracer.anchor_m
-    hits = body.tracer.cast_anchored(starts, rays)
+    hits = body.tracer.cast_anchored(starts, rays, image.range_m if subset is None else image.range_m[subset])
     if subset is None:
         nearer = hits.range_m < image.range_m
         np.copyto(image.range_m, hits.range_m, where=nearer)
@@ -365,8 +365,12 @@ def sunlit(
     away = image.directions[index] * (image.range_m[index] * np.float32(0.9998))[:, None]
     away += normal * np.float32(0.01)
     lit = np.ones(len(index), dtype=np.float32)
-    along = away @ sun
-    square = np.einsum("ij,ij->i", away, away) - along * along
+    # the rays in the order of where they pass across the sun's direction, so that few are looked at for a body
+    across = np.cross(sun, [0.0, 0.0, 1.0] if abs(sun[2]) < 0.9 else [1.0, 0.0, 0.0]).astype(np.float32)
+    across /= np.linalg.norm(across)
+    aside = away @ across
+    order = np.argsort(aside)
+    aside = aside[order]
     for body in bodies:
         body_T_world = invert(body.world_T_body)
         corners = transform_points(body.world_T_body, body.tracer.corners_m) - image.origin_m
@@ -375,9 +379,12 @@ def sunlit(
         else:
             middle = corners.mean(axis=0).astype(np.float32)
             radius = float(np.linalg.norm(corners[0] - middle)) + 0.1
-            depth = along - middle @ sun
-            apart = square - 2 * (away @ (middle - sun * (middle @ sun))) + middle @ middle - (middle @ sun) ** 2
-            near = np.flatnonzero((apart < radius * radius) & (depth < radius) & (lit > 0))
+            at = float(middle @ across)
+            beside = order[np.searchsorted(aside, at - radius) : np.searchsorted(aside, at + radius)]
+            offset = away[beside] - middle
+            depth = offset @ sun
+            apart = np.einsum("ij,ij->i", offset, offset) - depth * depth
+            near = beside[(apart < radius * radius) & (depth < radius) & (lit[beside] > 0)]
         if near.size:
             start = transform_points(body_T_world, away[near] + image.origin_m)
             ray = np.broadcast_to(body_T_world[:3, :3].astype(np.float32) @ sun, (len(near), 3))

@@ -316,20 +316,38 @@ class NearestHits:
         self.bodies = [bodies[i] for i in order]
         self.first_face = np.cumsum([0] + [len(body.tracer.mesh.faces) for body in self.bodies])
         self._scan, self._paths, self._blocks = scan, [paths[i] for i in order], [blocks[i] for i in order]
+        surroundings = [index for index in range(len(self.bodies)) if self._is_around(index)]
+        if surroundings:
+            self._cast_all(surroundings)
         for index in range(len(self.bodies)):
-            self._cast_all(index) if index == 0 and self._blocks[0].is_full else self._cast_block(index)
+            if index not in surroundings:
+                self._cast_block(index)
 
-    def _cast_all(self, index: int) -> None:
-        """Cast every ray at the first body."""
-        scan, body = self._scan, self.bodies[index]
+    def _is_around(self, index: int) -> bool:
+        """Whether every ray may hit a body, and whether the first body's rays are the same in its frame."""
+        is_like_first = index == 0 or (
+            self.bodies[index].actor < 0 and np.array_equal(self._paths[index].poses, self._paths[0].poses)
+        )
+        return is_like_first and self._blocks[index].is_full
+
+    def _cast_all(self, surroundings: list[int]) -> None:
+        """Cast every ray at the first body, and at others in the same frame: plants beside the ground and houses."""
+        scan = self._scan
         rings, columns = scan.shape
-        pose = self._paths[index].at(scan.time_s)
+        pose = self._paths[0].at(scan.time_s)
         starts = np.empty((rings, columns, 3), dtype=np.float32)
         starts[:] = _starts(pose, scan.origin_m)
         for ray in range(len(scan.weights)):
             directions = turned(pose, scan.rays[:, ray])
-            hits = body.tracer.cast_anchored(starts.reshape(-1, 3), directions.reshape(-1, 3))
-            self.range_m[ray], self.cosine[ray], self.face[ray] = hits.range_m, hits.cosine, hits.face
+            for index in surroundings:
+                tracer, within = self.bodies[index].tracer, self.range_m[ray]
+                hits = tracer.cast_anchored(starts.reshape(-1, 3), directions.reshape(-1, 3), within)
+                if index == 0:
+                    self.range_m[ray], self.cosine[ray], self.face[ray] = hits.range_m, hits.cosine, hits.face
+                    continue
+                nearer = np.flatnonzero(hits.range_m < within)
+                self.range_m[ray, nearer], self.cosine[ray, nearer] = hits.range_m[nearer], hits.cosine[nearer]
+                self.face[ray, nearer] = hits.face[nearer] + np.int32(self.first_face[index])
 
     def _cast_block(self, index: int) -> None:
         """Cast the rays of the shots that may hit a body and have hit nothing nearer."""
@@ -342,7 +360,7 @@ class NearestHits:
         rays = self._scan.rays.reshape(3, -1, self.range_m.shape[1])[:, :, shots]
         directions = turned(pose, rays).reshape(-1, 3)
         origins = np.ascontiguousarray(np.broadcast_to(starts, (*rays.shape[1:], 3))).reshape(-1, 3)
-        hits = body.tracer.cast_anchored(origins, directions)
+        hits = body.tracer.cast_anchored(origins, directions, self.range_m[:, shots].reshape(-1))
         ray = np.repeat(np.arange(len(rays[0])), len(shots))
         self._keep(index, ray, np.tile(shots, len(rays[0])), hits, np.float32(0))
 
@@ -398,7 +416,9 @@ class NearestHits:
         pose, starts = self._leave(index, shots)
         directions = turned(pose, self._scan.rays.reshape(3, -1, self.range_m.shape[1])[:, ray, shots])
         origins = np.ascontiguousarray(starts + directions * begin_m[:, None])
-        self._keep(index, ray, shots, self.bodies[index].tracer.cast_anchored(origins, directions), begin_m)
+        within = self.range_m[ray, shots] - begin_m
+        hits = self.bodies[index].tracer.cast_anchored(origins, directions, within)
+        self._keep(index, ray, shots, hits, begin_m)
 
     def places_m(self, shots: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 3"]:
         """Where the middles of some beams hit, in the frame of the first body (the fixed surroundings: the world's).

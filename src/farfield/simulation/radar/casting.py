@@ -6,13 +6,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.geometry.poses import invert, transform_points
-from farfield.simulation.trace import Body
+from farfield.simulation.trace import Body, Caster
 from farfield.simulation.world.scene import SceneWindow, at_knots
 
 FAN_STEP_DEG = (0.5, 0.75)
 FAN_REACH_DEG = (55.0, 20.0)
 _AIMED = (6, 40)  # least and most rays along each side of a road user's angles
 _NEAREST_M = 0.5
+_LEAF_STEP_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,10 @@ class CastRays:
         own_cosine: Cosine of the angle of incidence there.
         own_material: Material there.
         own_body: Body there.
+        leafy_m: Path within plants, through which the radar sees, on the way to the first hit, shape (n,).
+        leaves_at_m: Where that path begins, inf for none.
+        own_leafy_m: Path within plants on the way to their own road user.
+        leaves: What the radar sees through, each with the radar's pose in its frame.
     """
 
     direction: Float[np.ndarray, "n 3"]
@@ -48,6 +53,40 @@ class CastRays:
     own_cosine: Float[np.ndarray, " n"]
     own_material: Int[np.ndarray, " n"]
     own_body: Int[np.ndarray, " n"]
+    leafy_m: Float[np.ndarray, " n"]
+    leaves_at_m: Float[np.ndarray, " n"]
+    own_leafy_m: Float[np.ndarray, " n"]
+    leaves: tuple[tuple[Caster, Float[np.ndarray, "4 4"]], ...]
+
+    def add_paths(self) -> None:
+        """Add the paths within plants, up to what is opaque."""
+        for body, body_T_radar in self.leaves:
+            origin_m, directions = body_T_radar[:3, 3], self.direction @ body_T_radar[:3, :3].T
+            path_m, entry_m = body.paths_m(origin_m, directions, self.range_m)
+            self.leafy_m[:] += path_m
+            np.minimum(self.leaves_at_m, entry_m, out=self.leaves_at_m)
+            aimed = np.flatnonzero(np.isfinite(self.own_range_m))
+            self.own_leafy_m[aimed] += body.paths_m(origin_m, directions[aimed], self.own_range_m[aimed])[0]
+
+    def range_in_leaves_m(
+        self, rays: Int[np.ndarray, " k"], depth_m: Float[np.ndarray, " k"]
+    ) -> Float[np.ndarray, " k"]:
+        """Range at which some rays have run so far within plants, in one or several of them, to 2 cm; shape (k,).
+
+        Args:
+            rays: Rays that enter plants.
+            depth_m: Paths within plants, below ``leafy_m``.
+        """
+        near_m = self.leaves_at_m[rays].copy()
+        ends_m = [np.linalg.norm(body.corners_m - pose[:3, 3], axis=1).max() for body, pose in self.leaves]
+        far_m = np.minimum(self.range_m[rays], max(ends_m, default=0.0))
+        while (far_m - near_m).max(initial=0.0) > _LEAF_STEP_M:
+            middle_m, path_m = (near_m + far_m) / 2, np.zeros(len(rays))
+            for body, pose in self.leaves:
+                path_m += body.paths_m(pose[:3, 3], self.direction[rays] @ pose[:3, :3].T, middle_m)[0]
+            is_beyond = path_m >= depth_m
+            far_m, near_m = np.where(is_beyond, middle_m, far_m), np.where(is_beyond, near_m, middle_m)
+        return far_m
 
 
 def cast_rays(
@@ -73,11 +112,19 @@ def cast_rays(
     cast = CastRays(
         direction, solid_angle_sr, owner, np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), -direction,
         np.full(n, -1), np.full(n, -1), np.full(n, np.inf), np.ones(n), np.zeros(n, dtype=np.int64), np.full(n, -1),
+        np.zeros(n), np.full(n, np.inf), np.zeros(n),
+        tuple(
+            (body.tracer, invert(pose))
+            for body, pose in zip(window.bodies, radar_T_body, strict=True) if body.tracer.is_turbid
+        ),
     )  # fmt: skip
     for row, body in enumerate(window.bodies):
+        if body.tracer.is_turbid:
+            continue
         rays = np.flatnonzero(_towards(corners[row], azimuth, elevation, everything=body.actor < 0))
         if rays.size:
             _cast_body(cast, row, body, radar_T_body[row], rays)
+    cast.add_paths()
     return cast
 
 

@@ -20,6 +20,7 @@ class ScattererKind(IntEnum):
     GHOST = 4
     POST = 5
     RAIN = 6
+    PLANT = 7
 
 
 @dataclass(frozen=True, eq=False)

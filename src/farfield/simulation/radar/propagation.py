@@ -31,6 +31,8 @@ _ALPHA_V = (
 _RAIN_MM_H = (1.0, 2.5, 5.0, 10.0, 25.0, 50.0)
 _RAIN_M2_M3 = (1.0e-4, 2.3e-4, 3.9e-4, 6.4e-4, 1.1e-3, 1.7e-3)
 _INVERSE_GAMMA_SHAPE = 2.5  # heavy-tailed drop clusters; default
+LEAF_DB_M = 3.0
+_MOST_LEAF_DB = 30.0
 _RIME = complex(1.75, -0.003)  # frost of 0.4 g/cm3: Looyenga's mixture of air and ice of 3.17
 _RIME_MM = 2.0  # thickness where icing is complete; default
 
@@ -135,6 +137,19 @@ def two_way_loss_db(
         time_s: Seconds since the sequence began, for icing.
     """
     return np.asarray(2.0 * (loss_db_km(weather, model) * range_m / 1000.0 + radome_loss_db(weather, model, time_s)))
+
+
+def leaf_factor(path_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Power that comes back through plants, there and back: 3 dB a metre each way, 30 dB at most.
+
+    Weissberger's law gives 1.5 dB a metre at 76.5 GHz, the early one of ITU-R 5.8 dB for the first metre (both are fits
+    to forests at lower frequencies; ITU-R P.833-10 needs tables of species); beyond the cap what was scattered
+    arrives. In leaf; a bare tree takes about 1 dB a metre.
+
+    Args:
+        path_m: Path within plants, any shape.
+    """
+    return np.asarray(10 ** (-2 * np.minimum(LEAF_DB_M * path_m, _MOST_LEAF_DB) / 10))
 
 
 def rain_reflectivity_m2_m3(weather: Weather) -> float:

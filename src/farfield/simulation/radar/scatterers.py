@@ -17,7 +17,7 @@ from farfield.simulation.bodies.materials import Material
 from farfield.simulation.radar.casting import CastRays, cast_rays
 from farfield.simulation.radar.model import RadarModel
 from farfield.simulation.radar.points import ScattererKind, Scatterers, ScatterPoints, cell_snr
-from farfield.simulation.radar.propagation import rain_clutter, two_way_loss_db
+from farfield.simulation.radar.propagation import LEAF_DB_M, leaf_factor, rain_clutter, two_way_loss_db
 from farfield.simulation.radar.rcs import mean_rcs_dbsm, part_share, slow_db, surface_rcs_m2_m2
 from farfield.simulation.weather.conditions import Weather
 from farfield.simulation.world.scene import SceneWindow
@@ -51,14 +51,14 @@ def scatterers(
         Scatterers in the radar's frame, drawn anew for each frame (Swerling's second case: the power of each is
         exponential about its mean).
     """
-    streams = rng.spawn(4)
+    streams = rng.spawn(5)
     # rays over the field of view and at every road user, and the mirrors that they hit
     cast = cast_rays(window, world_T_radar, float(model.axes.range_m[-1]), streams[0])
     mirrors = find_mirrors(cast)
-    # scattering points: surfaces, road users with their limbs, posts of rails, mirror images of road users
+    # scattering points: surfaces, road users with their limbs, posts of rails, mirror images of road users, plants
     users = _road_users(window, model, world_T_radar, cast)
     parts = [_surfaces(cast, weather), users, posts(mirrors, world_T_radar, streams[1])]
-    parts.append(ghosts(users, mirrors, model.ghost_db))
+    parts += [ghosts(users, mirrors, model.ghost_db), plants(cast, streams[4])]
     # joined where the radar cannot tell them apart, with radial velocities and a power that fluctuates
     velocity_m_s = radar_velocity_m_s(window, world_T_radar) @ world_T_radar[:3, :3]
     echoes = _merged(ScatterPoints.join(parts).seen_from(velocity_m_s), model)
@@ -83,7 +83,7 @@ def _surfaces(cast: CastRays, weather: Weather) -> ScatterPoints:
     rows = np.flatnonzero((cast.owner < 0) & (cast.actor < 0) & np.isfinite(cast.range_m))
     range_m, cosine = cast.range_m[rows], np.maximum(cast.cosine[rows], 1e-3)
     area_m2 = range_m**2 * cast.solid_angle_sr[rows] / cosine
-    rcs_m2 = surface_rcs_m2_m2(cast.material[rows], cosine, weather) * area_m2
+    rcs_m2 = surface_rcs_m2_m2(cast.material[rows], cosine, weather) * area_m2 * leaf_factor(cast.leafy_m[rows])
     return ScatterPoints.fixed(cast.direction[rows] * range_m[:, None], rcs_m2, ScattererKind.SURFACE)
 
 
@@ -104,7 +104,8 @@ def _road_users(
         share = part_share(cast.own_material[rays]) * cast.solid_angle_sr[rays] * (0.1 + cast.own_cosine[rays] ** 2)
         share = np.asarray(share / share.sum())
         body = ScatterPoints.fixed(cast.direction[rays] * cast.own_range_m[rays, None], share, ScattererKind.OBJECT)
-        body = replace(body, rcs_m2=body.rcs_m2 * 10 ** (level_db / 10), actor=np.full(len(rays), row))
+        level_m2 = 10 ** (level_db / 10) * leaf_factor(cast.own_leafy_m[rays])
+        body = replace(body, rcs_m2=body.rcs_m2 * level_m2, actor=np.full(len(rays), row))
         moving_body = replace(body, velocity_m_s=_body_velocity(window, cast.own_body[rays], body, world_T_radar))
         parts += _visible_and_hidden(
             window, model, cast, rays, moving_body, actor, int(row), float(bottom[2]), radar_T_world
@@ -189,7 +190,8 @@ def _merged(echoes: Scatterers, model: RadarModel) -> Scatterers:
     if not rows.size:
         return echoes.take(rows)
     echoes = echoes.take(rows)
-    speed = np.where(echoes.kind == ScattererKind.LIMB, np.round(echoes.velocity_m_s / model.axes.doppler_step_m_s), 0)
+    own_speed = np.isin(echoes.kind, (ScattererKind.LIMB, ScattererKind.PLANT))
+    speed = np.where(own_speed, np.round(echoes.velocity_m_s / model.axes.doppler_step_m_s), 0)
     keys = [
         echoes.actor, echoes.kind, np.floor(range_m[rows] / (_MERGE_BINS * model.axes.range_step_m)),
         np.floor(azimuth[rows] / _MERGE_AZIMUTH_DEG), np.floor(elevation[rows] / _MERGE_ELEVATION_DEG), speed,
@@ -207,6 +209,29 @@ def _strongest(echoes: Scatterers, model: RadarModel) -> Scatterers:
         return echoes
     order = np.argsort(-cell_snr(echoes, model), kind="stable")[: model.max_scatterers]
     return echoes.take(np.sort(order))
+
+
+_PLANT_DB, _PLANT_M_S = -12.0, 0.2
+
+
+def plants(cast: CastRays, rng: np.random.Generator) -> ScatterPoints:
+    """Leaves and twigs of the plants that the fan's rays enter: one point a ray, 5 to 20 a cubic metre.
+
+    All of a deep plant together gives -12 dB of the area that the radar lights; from the depth s comes a share that
+    falls with the loss there and back. Every point moves with 0.1 to 0.3 m/s. The level is a customary one.
+
+    Args:
+        cast: The rays.
+        rng: Draws depths and velocities.
+    """
+    rows = np.flatnonzero((cast.owner < 0) & (cast.leafy_m > 0))
+    falls_per_m = 2 * LEAF_DB_M * np.log(10) / 10
+    share = 1 - np.exp(-falls_per_m * cast.leafy_m[rows])
+    depth_m = -np.log(1 - share * rng.random(len(rows))) / falls_per_m
+    range_m = cast.range_in_leaves_m(rows, depth_m)
+    rcs_m2 = 10 ** (_PLANT_DB / 10) * share * range_m**2 * cast.solid_angle_sr[rows]
+    points = ScatterPoints.fixed(cast.direction[rows] * range_m[:, None], rcs_m2, ScattererKind.PLANT)
+    return replace(points, velocity_m_s=rng.normal(0.0, _PLANT_M_S, (len(rows), 3)))
 
 
 # Mirrors: planes of rails and walls among the rays' hits, the images in them, and the posts of rails

@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from farfield.errors import DatasetError, plain
-from farfield.files.atomic import write_text
+from farfield.files.atomic import move_into_place, read_bytes, write_text
+from farfield.files.json_text import plain_json
+from farfield.files.marks import mark_of
 from farfield.files.sizes import room
 from farfield.frame.provenance import SIMULATION_FILE, SIMULATION_JOURNAL
 from farfield.jobs import JobJournal, Unit, UnitResult
 from farfield.jobs.folders import STAGING
-from farfield.jobs.journal import mark_of, state_of
+from farfield.jobs.journal import state_of
 from farfield.simulation.recording.options import Recording
 from farfield.simulation.rig import RIGS
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.kradar import OUSTER_LINES
 from farfield.vocabulary.patterns import PATTERNS
 
@@ -58,17 +61,12 @@ def recorded_frames(folder: Path, data: "Dataset") -> int:
         data: Its frames.
 
     Raises:
-        DatasetError: If the journal is damaged.
+        FileFormatError: If the journal is damaged.
     """
     path = folder / SIMULATION_JOURNAL
     if not path.is_file() or not data.stored:
         return len(data)
-    sizes: dict[str, int] = {}
-    for number, line in enumerate(path.read_bytes().split(b"\n")[:-1], 1):
-        try:
-            sizes |= {name: mark[0] for name, mark in json.loads(line.partition(b"\t")[0])["files"].items()}
-        except (ValueError, AttributeError, TypeError, LookupError) as error:
-            raise DatasetError(f"{path}: line {number} is damaged ({plain(error)[:200]}). Remove the line.") from error
+    sizes = JobJournal(path).file_sizes()
     root = folder.absolute()
     recorded = 0
     for index in range(len(data)):
@@ -109,7 +107,7 @@ def claim(recording: Recording) -> None:
 def _claimed(record: Path, settings: dict[str, Any], recording: Recording) -> tuple[int, set[str]]:
     """Sequences and sensors for which a folder was claimed before, with the same settings."""
     try:
-        claimed = json.loads(record.read_text("utf-8"))
+        claimed = plain_json(read_bytes(record))
         count = len(claimed.pop("sequences", []))
         before = set(claimed.pop("sensors", []))
     except (ValueError, AttributeError, TypeError) as error:
@@ -201,7 +199,8 @@ def check_disk(recording: Recording, count: int) -> None:
     free, needed = shutil.disk_usage(recording.out).free, bytes_needed(recording, count)
     if round(needed) > free:
         raise DatasetError(
-            f"{recording.out}: for {count} frames about {room(needed, free)}. Write fewer frames (--frames), fewer "
+            f"{recording.out}: for {count_of(count, 'frame')} about "
+            f"{room(needed, free)}. Write fewer frames (--frames), fewer "
             "sensors (--sensors), or to another disk."
         )
 
@@ -281,7 +280,7 @@ def write_whole(preset: "Preset", frame: "Frame", out: Path, *, cache: bool = Fa
         for path in sorted(files, key=_label_rank):
             target = out / path.relative_to(staging)
             target.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(target)
+            move_into_place(path, target)
         return tuple(out / path.relative_to(staging) for path in written)
     finally:
         shutil.rmtree(staging, ignore_errors=True)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from farfield.errors import ConfigError
 from farfield.simulation.rig import RIGS
-from farfield.vocabulary.conditions import Side, Time, Weather
+from farfield.vocabulary.conditions import Side, Time, Weather, World
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
@@ -36,6 +37,8 @@ class RecordingOptions:
         uniform_offset_ms: How much later the uniform pattern is taken, in every sequence; 0 is the ideal pair.
         traffic: On which side it keeps; the left is the mirror image of the right. The preset's own unless given. Not
             with --recording.
+        world: What stands beside and on the roads: v2, or v3 with plants that rays enter, street furniture, rows of
+            parked vehicles and bodies with the surfaces of real ones. The preset's own unless given.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
         engine: Where the frames are simulated: local, or an installed engine's name.
         cache: Also write the binary cache that makes reading fast (Cirrus). Not with --recording.
@@ -54,6 +57,7 @@ class RecordingOptions:
     stride_s: float | None = None
     uniform_offset_ms: float | None = None
     traffic: Side | None = None
+    world: World | None = None
     workers: int = 0
     engine: str = "local"
     cache: bool = False
@@ -69,6 +73,7 @@ class RecordingOptions:
             "time": self.time,
             "stride_s": self.stride_s,
             "traffic": self.traffic,
+            "world": self.world,
             "uniform_offset_ms": span_ms,
         }
         return {name: value for name, value in changes.items() if value is not None}
@@ -174,7 +179,8 @@ def frames_of_sequences(
     most = len(preset.segments) * preset.segments[0].frames
     if frozen and (count > len(preset.segments) or (frames or 0) > most):
         raise ConfigError(
-            f"{preset.name} is frozen: expected at most {len(preset.segments)} x {preset.segments[0].frames} frames"
+            f"{preset.name} is frozen: expected at most {len(preset.segments)} "
+            f"x {count_of(preset.segments[0].frames, 'frame')}"
         )
     if frames is None:
         plan = [preset.segment(sequence).frames for sequence in range(count)]
@@ -187,7 +193,8 @@ def frames_of_sequences(
         if planned > preset.max_frames(sequence):
             raise ConfigError(
                 f"--stride-s: sequence {sequence} lasts {preset.segment(sequence).duration_s:g} s and has room for "
-                f"{preset.max_frames(sequence)} frames, expected {planned}. Take a smaller --stride-s or fewer "
+                f"{count_of(preset.max_frames(sequence), 'frame')}, expected "
+                f"{planned}. Take a smaller --stride-s or fewer "
                 "--frames."
             )
     return tuple(plan)
@@ -201,7 +208,8 @@ def spread(total: int, capacity: list[int]) -> list[int]:
     """
     if total > sum(capacity):
         raise ConfigError(
-            f"--frames: {len(capacity)} sequences have room for {sum(capacity)} frames, got {total}. Take more "
+            f"--frames: {count_of(len(capacity), 'sequence has', 'sequences have')} room "
+            f"for {count_of(sum(capacity), 'frame')}, got {total}. Take more "
             "--sequences or a smaller --stride-s."
         )
     plan = [0] * len(capacity)

@@ -2,20 +2,24 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
+from farfield.files.marks import mark_of
 from farfield.files.sizes import sized
 from farfield.frame.provenance import SIMULATION_FILE
 from farfield.jobs import JobOptions, JobRun, Unit
-from farfield.jobs.journal import mark_of, state_of
+from farfield.jobs.folders import held
+from farfield.jobs.journal import state_of
 from farfield.jobs.runs import Progress
 from farfield.simulation.recording.frames import Simulate, bytes_needed, check_disk, claim, journal_of, units_of
 from farfield.simulation.recording.options import Recording, RecordingOptions, silent
 from farfield.simulation.rig import RIGS
-from farfield.vocabulary.conditions import Side
+from farfield.vocabulary.conditions import Side, World
+from farfield.vocabulary.counts import count_of
 
 _FINISHED = Unit("what belongs to whole sequences")
 _SHOWN = 6  # sequences whose weather is shown
@@ -83,28 +87,29 @@ def record(
             f"{recording.out} {'has files already; what fits is kept' if begun else 'is made'}; nothing is written now"
         )
         return RecordingSummary(recording=recording, verdicts=())
-    # claim the folder, and find what is left to do
-    claim(recording)
-    journal = journal_of(recording)
-    missing = sum(not journal.has(unit) for unit in units)
-    for line in announced(recording, missing, jobs.num_workers(work, missing)):
-        report(line)
-    check_disk(recording, missing)
-    # simulate and write the frames that are missing
-    with JobRun(work, units, jobs, journal=journal) as running:
-        for number in jobs.progress(running):
-            if running.here:
-                running.enter(number, work(running.unit(number)))
-    outcome = running.outcome
-    # write what belongs to whole sequences: calibration, times, splits, odometry
-    rig = RIGS[recording.preset.rig]
-    if rig.finishes and (outcome.written or not journal.has(_FINISHED)):
-        writer: Any = rig.writer(recording.out, recording.preset)
-        marks = {path.relative_to(recording.out).as_posix(): mark_of(path) for path in writer.finish() or ()}
-        journal.add(_FINISHED, state_of((), journal.setting), marks)
-        journal.finish()
-    values = journal.values([units[row].name for row in sorted(outcome.clocks)])
-    verdicts = tuple(str(verdict or "written") for verdict in values)
+    with held(recording.out, fix="It is simulated there: run the same command again when that has ended."):
+        # claim the folder, and find what is left to do
+        claim(recording)
+        journal = journal_of(recording)
+        missing = sum(not journal.has(unit) for unit in units)
+        for line in announced(recording, missing, jobs.num_workers(work, missing)):
+            report(line)
+        check_disk(recording, missing)
+        # simulate and write the frames that are missing
+        with JobRun(work, units, jobs, journal=journal) as running:
+            for number in jobs.progress(running):
+                if running.here:
+                    running.enter(number, work(running.unit(number)))
+        outcome = running.outcome
+        # write what belongs to whole sequences: calibration, times, splits, odometry
+        rig = RIGS[recording.preset.rig]
+        if rig.finishes and (outcome.written or not journal.has(_FINISHED)):
+            writer: Any = rig.writer(recording.out, recording.preset)
+            marks = {path.relative_to(recording.out).as_posix(): mark_of(path) for path in writer.finish() or ()}
+            journal.add(_FINISHED, state_of((), journal.setting), marks)
+            journal.finish()
+        values = journal.values([units[row].name for row in sorted(outcome.clocks)])
+        verdicts = tuple(str(verdict or "written") for verdict in values)
     for line in concluded(recording, verdicts):
         report(line)
     return RecordingSummary(recording=recording, verdicts=verdicts)
@@ -121,12 +126,16 @@ def announced(recording: Recording, count: int, processes: int) -> Iterator[str]
     from farfield.simulation.rigs.drive import drive_of
 
     preset, seed, plan = recording.preset, recording.seed, recording.plan
-    yield f"preset {preset.name}, seed {seed}: {sum(plan)} frames in {len(plan)} sequences, {count} still to write"
+    yield (
+        f"preset {preset.name}, seed {seed}: {count_of(sum(plan), 'frame')} in "
+        f"{count_of(len(plan), 'sequence')}, {count} still to write"
+    )
     most = sized(bytes_needed(recording, count))
     yield f"  {', '.join(recording.sensors)}; every {preset.stride_s:g} s; at most {most}"
     if len(plan) > 1 and max(plan) == 1:
         yield (
-            f"  note: {len(plan)} drives of one frame each, another road and weather every time: nothing follows a "
+            f"  note: {count_of(len(plan), 'drive')} of one frame each, another "
+            "road and weather every time: nothing follows a "
             "frame. For frames of one drive add --sequences 1, for several drives more --frames"
         )
     for sequence in range(len(plan))[:_SHOWN]:
@@ -134,12 +143,12 @@ def announced(recording: Recording, count: int, processes: int) -> Iterator[str]
         yield f"  {drive.segment.name}: {drive.segment.road}; {drive.weather.describe()}"
     if len(plan) > _SHOWN:
         yield f"  ... {len(plan) - _SHOWN} more, all in {recording.out / SIMULATION_FILE}"
-    yield f"  {processes} process{'es' if processes > 1 else ''}, into {recording.out}"
+    yield f"  {count_of(processes, 'process')}, into {recording.out}"
 
 
 def concluded(recording: Recording, verdicts: Sequence[str]) -> Iterator[str]:
     """What was written, and what the checksums of a frozen split say."""
-    yield f"wrote {len(verdicts)} frames into {recording.out}"
+    yield f"wrote {count_of(len(verdicts), 'frame')} into {recording.out}"
     if not recording.frozen:
         return
     if not verdicts:
@@ -165,11 +174,13 @@ class SimulationConfig(BaseModel):
     sensors: str | None = Field(None, description="what to write, separated by commas; the preset's own if left out")
     stride_s: float | None = Field(None, gt=0, le=1, description="time between frames; the preset's own if left out")
     traffic: Side | None = Field(None, description="on which side it keeps; the preset's own if left out")
+    world: World | None = Field(None, description="what stands beside and on the roads; the preset's own if left out")
 
     @model_serializer(mode="wrap")
     def _serialise(self, serialise: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """All settings; the side only where it is given, so that data and trainings are named as before."""
-        return {name: value for name, value in serialise(self).items() if name != "traffic" or value is not None}
+        """All settings; side and world only where they are given, so that data and trainings are named as before."""
+        late = ("traffic", "world")
+        return {name: value for name, value in serialise(self).items() if name not in late or value is not None}
 
 
 def ensure(
@@ -179,6 +190,8 @@ def ensure(
     report: Callable[[str], object] | None = None,
 ) -> RecordingSummary | None:
     """Simulate a data set where there is none yet, or go on with one that was begun; leave other data as they are.
+
+    Where another command simulates it, its end is waited for: several trainings may begin at once.
 
     Args:
         config: What to simulate; None leaves everything as it is.
@@ -192,10 +205,20 @@ def ensure(
     Raises:
         ConfigError, DatasetError: As of ``record``.
     """
-    begun = (path / SIMULATION_FILE).is_file()  # then the rest is simulated, or nothing is missing
-    if config is None or (path.exists() and not begun):
+    if config is None or _has_other_data(path):
         return None
-    return _record_config(config, path, progress=progress, report=report)
+    report = report or silent
+    with held(path, waiting=partial(report, f"another command simulates {path}: this one goes on when it has ended")):
+        if _has_other_data(path):
+            return None
+        return _record_config(config, path, progress=progress, report=report)
+
+
+def _has_other_data(path: Path) -> bool:
+    """Whether something stands there that ``farfield simulate`` did not begin; hidden files are of one that begins."""
+    if not path.is_dir():
+        return path.exists()
+    return not (path / SIMULATION_FILE).is_file() and any(not entry.name.startswith(".") for entry in path.iterdir())
 
 
 def planned_recording(config: SimulationConfig, path: Path) -> Recording:
@@ -219,6 +242,7 @@ def _record_config(config: SimulationConfig, path: Path, **others: Any) -> Recor
         seed=config.seed,
         stride_s=config.stride_s,
         traffic=config.traffic,
+        world=config.world,
         cache=RIGS[find_preset(config.preset).rig].caches,
         **others,
     )

@@ -87,6 +87,7 @@ class SimulatedDrive:
             duration_s=self.segment.duration_s,
             sizes=self._choices[0],
             traffic=self.preset.traffic,
+            world=self.preset.world,
         )
 
     @cached_property

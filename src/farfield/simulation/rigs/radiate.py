@@ -13,6 +13,7 @@ from jaxtyping import Float32, UInt8
 
 from farfield.errors import ConfigError
 from farfield.files.atomic import write_text
+from farfield.files.json_text import plain_json, read_json
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor
 from farfield.geometry.poses import invert, pose_from_yaw
 from farfield.radar.turning import cartesian, strongest_cells
@@ -200,7 +201,7 @@ class SimulatedRadiateWriter:
         turn = {
             "time_ns": frame.time_ns,
             "conditions": dict(frame.conditions),
-            "objects": [] if tracks is None else json.loads(tracks_text(tracks, 1)),
+            "objects": [] if tracks is None else plain_json(tracks_text(tracks, 1)),
             "frame": int(frame.frame_id),
         }
         write_text(paths["boxes"], json.dumps(turn))
@@ -209,9 +210,7 @@ class SimulatedRadiateWriter:
     def finish(self) -> None:
         """Write time lists, annotations and ``meta.json`` of every sequence, from all turns that are there."""
         for folder in sorted(path for path in self.root.glob("*") if (path / "annotations" / _TURNS).is_dir()):
-            turns = [
-                json.loads(path.read_text("utf-8")) for path in sorted((folder / "annotations" / _TURNS).glob("*.json"))
-            ]
+            turns = [read_json(path) for path in sorted((folder / "annotations" / _TURNS).glob("*.json"))]
             _finish_sequence(folder, turns)
 
 

@@ -104,6 +104,10 @@ class Land:
             )
         return np.asarray(inside + out)
 
+    def open_share(self, s_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """How much of the ground beside the road is open, not paved across, at some stations: all of it."""
+        return np.ones_like(s_m)
+
     def section(
         self, s_m: Float[np.ndarray, " k"]
     ) -> tuple[Float[np.ndarray, "k n"], Int[np.ndarray, "k1 n1"] | Int[np.ndarray, " n1"]]:

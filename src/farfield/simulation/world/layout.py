@@ -4,20 +4,23 @@ Builders use what all roads share: :class:`RoadBuild` for streams of randomness,
 :class:`Roadside` for what stands and runs beside the road.
 """
 
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.bodies import furniture
+from farfield.simulation.bodies import facades, furniture, plants
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box
-from farfield.simulation.world.land import Land
+from farfield.simulation.bodies.plants import Leaves, Plant
+from farfield.simulation.world.land import HeightNoise, Land
 from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.population import Lane, Population
 from farfield.simulation.world.road import Bends, RoadLine, ribbon
+from farfield.simulation.world.taken_ground import TakenGround, rectangle_of
 
 CHUNK_M = 100.0
 
@@ -30,6 +33,16 @@ class FixedObject:
     build: Callable[[], Mesh]
 
 
+@dataclass(frozen=True)
+class LeafyPlace:
+    """Leaves that rays enter: where along and beside the road they stand, and how they are turned."""
+
+    leaves: Leaves
+    s_m: float
+    d_m: float
+    turn_rad: float = 0.0
+
+
 @dataclass(eq=False)
 class RoadLayout:
     """A road and what stands beside it, built in pieces of ``CHUNK_M``.
@@ -40,6 +53,7 @@ class RoadLayout:
         seed: Draws paint of the fixed objects.
         running: Build what runs along the road (markings, rails, walls) over given stations.
         placements: The fixed objects.
+        plants: What rays enter; none in the world "v2".
         breaks_m: Stations at which the ground changes and needs a row of its own.
     """
 
@@ -48,7 +62,18 @@ class RoadLayout:
     seed: np.random.SeedSequence
     running: list[Callable[[Float[np.ndarray, " k"]], Mesh]] = field(default_factory=list)
     placements: list[FixedObject] = field(default_factory=list)
+    plants: list[LeafyPlace] = field(default_factory=list)
     breaks_m: tuple[float, ...] = ()
+
+    def plants_between(self, first_m: float, last_m: float) -> list[int]:
+        """Rows of the plants that belong to a stretch."""
+        return [row for row, plant in enumerate(self.plants) if first_m <= plant.s_m < last_m]
+
+    def axes_m(self, row: int) -> Float[np.ndarray, "3 3"]:
+        """Where a plant stands in the world: its origin, and the ends of its x and y axes of 1 m."""
+        plant = self.plants[row]
+        frame = Mesh.of(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), int(Material.FOLIAGE))
+        return self.land.stand(frame, plant.s_m, plant.d_m, turn_rad=plant.turn_rad).vertices_m
 
     def chunk(self, index: int) -> Mesh:
         """The fixed surroundings between ``index`` and ``index + 1`` times ``CHUNK_M``; always the same ones."""
@@ -107,16 +132,65 @@ class Roadside:
         rng: Draws places and shapes.
         first_m: Where the surroundings begin, as s.
         last_m: Where they end.
+        relief: Draws the relief of fronts, walls and verges; None leaves them flat, as in world "v2".
+        leaf_rng: Draws plants that rays enter; None for plants of opaque facets.
+
+    Attributes:
+        ground: What stands on which ground; kept where there is relief.
     """
 
-    def __init__(self, layout: RoadLayout, rng: np.random.Generator, first_m: float, last_m: float) -> None:
-        self.layout, self.rng, self.first_m, self.last_m = layout, rng, first_m, last_m
-        self.trees = [furniture.tree(rng.uniform(4, 12), rng) for _ in range(6)]
-        self.conifers = [furniture.tree(rng.uniform(5, 15), rng, conifer=True) for _ in range(4)]
-        self.bushes = [furniture.bush(rng) for _ in range(4)]
+    def __init__(
+        self,
+        layout: RoadLayout,
+        rng: np.random.Generator,
+        first_m: float,
+        last_m: float,
+        relief: np.random.Generator | None = None,
+        leaf_rng: np.random.Generator | None = None,
+    ) -> None:
+        self.layout, self.rng, self.first_m, self.last_m, self.leaf_rng = layout, rng, first_m, last_m, leaf_rng
+        self.relief, self.ground = relief, TakenGround()
+        trees = [furniture.tree(rng.uniform(4, 12), rng) for _ in range(6)]
+        conifers = [furniture.tree(rng.uniform(5, 15), rng, conifer=True) for _ in range(4)]
+        bushes = [furniture.bush(rng) for _ in range(4)]
+        self.trees: Sequence[Mesh | Plant] = trees
+        self.conifers: Sequence[Mesh | Plant] = conifers
+        self.bushes: Sequence[Mesh | Plant] = bushes
+        if leaf_rng is not None:
+            self.trees = [plants.tree(model, leaf_rng) for model in trees]
+            self.conifers = [plants.tree(model, leaf_rng, conifer=True) for model in conifers]
+            self.bushes = [plants.bush(model, leaf_rng) for model in bushes]
 
-    def put(self, model: Mesh, s_m: float, d_m: float, *, turn_rad: float = 0.0, raise_m: float = 0.0) -> None:
-        """Stand one object on the ground."""
+    def put(
+        self,
+        model: Mesh | Plant,
+        s_m: float,
+        d_m: float,
+        *,
+        turn_rad: float = 0.0,
+        raise_m: float = 0.0,
+        only_free: bool = False,
+    ) -> None:
+        """Stand one object on the ground; of a plant its wood, with its leaves around.
+
+        Args:
+            model: The object.
+            s_m: Its station.
+            d_m: Its offset to the left.
+            turn_rad: How far it is turned against the road.
+            raise_m: Height of its foot above the ground.
+            only_free: Leave it out where something stands already.
+        """
+        if self.relief is not None:
+            rectangle = rectangle_of(_foot(model), s_m, d_m, turn_rad)
+            if only_free and not self.ground.free(*rectangle):
+                return
+            self.ground.take(*rectangle)
+        if isinstance(model, Plant):
+            self.layout.plants.append(LeafyPlace(model.leaves, s_m, d_m, turn_rad))
+            if not len(model.wood.faces):
+                return
+            model = model.wood
         self.add(partial(self.layout.land.stand, model, s_m, d_m, turn_rad=turn_rad, raise_m=raise_m), s_m)
 
     def add(self, build: "partial[Mesh]", s_m: float) -> None:
@@ -161,13 +235,62 @@ class Roadside:
     ) -> None:
         """A piece of wall or hedge along the road."""
         rows = np.linspace(s_m, s_m + length_m, max(2, int(length_m / 4) + 1))
+        if material == FOLIAGE and self.leaf_rng is not None:
+            self.hedge(rows, d_m, height_m, thick_m)
+            return
+        if self.relief is not None:
+            half = thick_m / 2 + 0.15  # its piers
+            self.ground.take(s_m, s_m + length_m, d_m - half, d_m + half)
+            seed = int(self.relief.integers(2**32))
+            self.add(partial(_rough_wall, self.layout.land, rows, d_m, thick_m, height_m, material, seed), s_m)
+            return
         d = np.array([-0.5, -0.5, 0.5, 0.5]) * thick_m + d_m
         self.add(partial(_wall, self.layout.land, rows, d, height_m, material), s_m)
 
-    def block(self, s_m: float, side: int, d_m: float, length_m: float, depth_m: float, height_m: float) -> None:
-        """A building whose front stands at a distance from the reference line."""
-        model = furniture.building(length_m, depth_m, height_m, self.rng)
+    def hedge(self, rows: Float[np.ndarray, " k"], d_m: float, height_m: float, thick_m: float) -> None:
+        """A hedge that rays enter, in straight pieces between stations, where nothing stands; the pieces are alike."""
+        assert self.leaf_rng is not None
+        step_m = float(rows[1] - rows[0])
+        leaves = plants.hedge(1.05 * step_m, thick_m, height_m, self.leaf_rng)
+        for index, s in enumerate(rows[:-1]):
+            piece = (float(s), float(s) + step_m, d_m - thick_m / 2, d_m + thick_m / 2)
+            if self.ground.free(*piece):
+                self.layout.plants.append(LeafyPlace(leaves, float(s) + step_m / 2, d_m, np.pi * (index % 2)))
+            self.ground.take(*piece)
+
+    def block(
+        self,
+        s_m: float,
+        side: int,
+        d_m: float,
+        length_m: float,
+        depth_m: float,
+        height_m: float,
+        *,
+        overhang_m: float = 1.2,
+    ) -> None:
+        """A building whose front stands at a distance from the reference line; balconies may hang over the ground."""
+        if self.relief is None:
+            model = furniture.building(length_m, depth_m, height_m, self.rng)
+        else:
+            model = facades.relief_building(length_m, depth_m, height_m, self.relief, overhang_m=overhang_m)
         self.put(model, s_m, side * d_m, turn_rad=0.0 if side > 0 else np.pi)
+
+    def verge(self, side: int, near_m: float, far_m: float, rough_m: float) -> None:
+        """Uneven ground between two distances from the reference line: grass over ruts and molehills."""
+        if self.relief is not None:
+            noise = HeightNoise(self.relief, shortest_m=1.2, longest_m=6.0)
+            self.run(partial(_verge, self.layout.land, noise, side, near_m, far_m, rough_m))
+
+
+def _foot(model: Mesh | Plant) -> Mesh:
+    """What stands on the ground of an object: of a plant its wood, or its leaves where it has none."""
+    if not isinstance(model, Plant):
+        return model
+    if len(model.wood.faces):
+        return model.wood
+    low_m, high_m = model.leaves.low_m, model.leaves.high_m
+    return box((high_m - low_m).tolist(), ((low_m + high_m) / 2).tolist(), FOLIAGE)
 
 
 def _wall(
@@ -175,6 +298,49 @@ def _wall(
 ) -> Mesh:
     base = land.rise_m(*np.broadcast_arrays(rows[:, None], d))
     return ribbon(land.road, rows, d, base + np.array([-0.5, height_m, height_m, -0.5]), material)
+
+
+def _rough_wall(
+    land: Land,
+    rows: Float[np.ndarray, " k"],
+    d_m: float,
+    thick_m: float,
+    height_m: float,
+    material: int,
+    seed: int,
+) -> Mesh:
+    """A wall of rough stones, thicker at its foot, with piers every four rows; panels where it is high or long."""
+    fine = height_m < 2.2 and rows[-1] - rows[0] < 40.0
+    pitch, level = (0.5, 0.4) if fine else (2.0, 1.0)
+    s = np.linspace(rows[0], rows[-1], max(2, round((rows[-1] - rows[0]) / pitch) + 1))
+    levels = np.linspace(0.0, height_m, max(2, round(height_m / level) + 1))
+    z = np.concatenate([[-0.5], levels, levels[::-1], [-0.5]])
+    aside = np.where(np.arange(len(z)) < len(z) // 2, -0.5, 0.5)
+    rng = np.random.default_rng(seed)
+    rough = rng.normal(0.0, 0.02 if material == CONCRETE else 0.035, (len(s), len(z)))
+    pier = np.where(np.arange(len(s)) % 4 == 0, 0.06, 0.0)[:, None] * np.sign(aside)
+    d = d_m + aside * thick_m + rough + pier
+    base = land.rise_m(*np.broadcast_arrays(s[:, None], d))
+    top = np.where(np.isclose(z, height_m), rng.normal(0.0, 0.03, (len(s), 1)), 0.0)
+    return ribbon(land.road, s, d, base + z + top, material)
+
+
+def _verge(
+    land: Land,
+    noise: HeightNoise,
+    side: int,
+    near_m: float,
+    far_m: float,
+    rough_m: float,
+    s_m: Float[np.ndarray, " k"],
+) -> Mesh:
+    s = np.linspace(s_m[0], s_m[-1], round((s_m[-1] - s_m[0]) / 0.8) + 1)
+    d = np.sort(side * np.linspace(near_m, far_m, max(2, round((far_m - near_m) / 0.8) + 1)))
+    along, across = np.broadcast_arrays(s[:, None], d)
+    edge = np.clip((np.abs(across) - near_m) / 0.5, 0.0, 1.0)  # it begins below the edge of the road
+    share = edge * land.open_share(s)[:, None]
+    lift = share * rough_m * (0.6 + noise(along, across)) - 0.04 * (1.0 - share)
+    return ribbon(land.road, s, d, land.rise_m(along, across) + lift, GRASS)
 
 
 # What all builders share: materials, streams of randomness, stretches of road and traffic
@@ -203,11 +369,13 @@ class RoadBuild:
         seed: Spawns the streams of road, traffic, surroundings and paint.
         duration_s: For how long the traffic must last.
         sizes: Name of the size prior.
+        world: "v2" or "v3"; what "v3" adds draws from streams of its own, so that "v2" stays as it is.
     """
 
     seed: np.random.SeedSequence
     duration_s: float
     sizes: str
+    world: str = "v2"
     rng: np.random.Generator = field(init=False)
     around: np.random.Generator = field(init=False)
 
@@ -234,7 +402,14 @@ class RoadBuild:
     ) -> tuple[RoadLayout, Roadside]:
         """An empty layout, and what fills it from ``FIRST_M`` to 420 m beyond the ego vehicle's end."""
         layout = RoadLayout(land, population, self._paint_seed, breaks_m=breaks_m)
-        return layout, Roadside(layout, self.around, FIRST_M, self.travel_m(ego_m_s) + 420.0)
+        relief = self.stream("relief") if self.world == "v3" else None
+        leaf_rng = self.stream("plants") if self.world == "v3" else None
+        return layout, Roadside(layout, self.around, FIRST_M, self.travel_m(ego_m_s) + 420.0, relief, leaf_rng)
+
+    def stream(self, name: str) -> np.random.Generator:
+        """A stream of randomness of its own for something that "v2" lacks."""
+        key = (*self.seed.spawn_key, zlib.crc32(name.encode()))
+        return np.random.default_rng(np.random.SeedSequence(self.seed.entropy, spawn_key=key))
 
     def lane(
         self,

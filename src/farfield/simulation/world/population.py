@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from farfield.simulation.bodies.actors import Actor, draw_car, draw_size_m, draw_truck
 from farfield.simulation.world.motion import STEP_S, Motion, in_conflict
@@ -54,6 +54,21 @@ class Lane:
     kind: str = ""
 
 
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """Something fixed on the ground: loose road users that would touch it disappear.
+
+    Args:
+        position_m: Middle of its bottom, shape (3,).
+        yaw_rad: Its heading.
+        size_m: Length, width, height, shape (3,).
+    """
+
+    position_m: Float[np.ndarray, " 3"]
+    yaw_rad: float
+    size_m: Float[np.ndarray, " 3"]
+
+
 @dataclass
 class _Queue:
     """Vehicles of all lanes before they drive."""
@@ -80,6 +95,9 @@ class Population:
         rng: Source of randomness.
         sizes: Name of the size prior.
         long_haul: Whether large vehicles are those of long-haul roads.
+
+    Attributes:
+        obstacles: What road users keep clear of.
     """
 
     def __init__(
@@ -92,6 +110,7 @@ class Population:
         self._yaw: list[Float[np.ndarray, " steps"]] = []
         self._slope: list[Float[np.ndarray, "steps 2"]] = []
         self._loose: list[bool] = []
+        self.obstacles: list[Obstacle] = []
         self.ego_s_m: Float[np.ndarray, " steps"] = np.zeros(steps)
         self.changes: list[LaneChange] = []
 
@@ -313,18 +332,34 @@ class Population:
             return [(kind, size, (length - total_m) / 2), ("trailer", towed, (total_m - float(towed[0])) / 2)], total_m
         return [(kind, size, 0.0)], length
 
-    def finish(self, seed: np.random.SeedSequence) -> tuple[list[Actor], Motion]:
-        """Take away loose actors that would touch others; give each of the rest its own seed."""
+    def finish(self, seed: np.random.SeedSequence, world: str = "v2") -> tuple[list[Actor], Motion]:
+        """Take away loose actors that would touch others; give each of the rest its own seed, and the world's body."""
         size = np.stack(self._size)
         position, yaw = np.stack(self._position), np.unwrap(np.stack(self._yaw), axis=1)
-        removed = in_conflict(position, yaw, size, np.array(self._loose), margin_m=_MARGIN_M)
+        removed = self._removed(position, yaw, size)
         seeds = seed.spawn(len(size))
         remaining = np.flatnonzero(~removed)
         actors = [
-            Actor(int(i), self._kind[i], (float(size[i, 0]), float(size[i, 1]), float(size[i, 2])), seeds[i])
+            Actor(int(i), self._kind[i], (float(size[i, 0]), float(size[i, 1]), float(size[i, 2])), seeds[i], world)
             for i in remaining
         ]
         return actors, Motion(position[remaining], yaw[remaining], np.stack(self._slope)[remaining])
+
+    def _removed(
+        self,
+        position_m: Float[np.ndarray, "n steps 3"],
+        yaw_rad: Float[np.ndarray, "n steps"],
+        size_m: Float[np.ndarray, "n 3"],
+    ) -> Bool[np.ndarray, " n"]:
+        """Loose road users that would touch another that stays, or an obstacle."""
+        loose, count = np.array(self._loose), len(size_m)
+        if self.obstacles:
+            fixed = np.stack([obstacle.position_m for obstacle in self.obstacles])[:, None].repeat(self.steps, axis=1)
+            turned = np.array([[obstacle.yaw_rad] for obstacle in self.obstacles]).repeat(self.steps, axis=1)
+            position_m, yaw_rad = np.concatenate([position_m, fixed]), np.concatenate([yaw_rad, turned])
+            size_m = np.concatenate([size_m, [obstacle.size_m for obstacle in self.obstacles]])
+            loose = np.append(loose, np.zeros(len(fixed), dtype=bool))
+        return in_conflict(position_m, yaw_rad, size_m, loose, margin_m=_MARGIN_M)[:count]
 
 
 def _beside(lanes: Sequence[Lane]) -> Int[np.ndarray, "2 lanes"]:

@@ -10,14 +10,15 @@ from farfield.geometry.poses import pose
 from farfield.simulation.bodies.actors import Actor, find_prior
 from farfield.simulation.bodies.mesh import Mesh
 from farfield.simulation.bodies.people import PHASES
-from farfield.simulation.trace import Body, Tracer
+from farfield.simulation.trace import Body, Caster, Tracer
 from farfield.simulation.world.layout import CHUNK_M, RoadLayout
 from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.roads import BUILDERS, RoadBuild
-from farfield.vocabulary.conditions import SIDES
+from farfield.vocabulary.conditions import SIDES, WORLDS
 
 _STAGE_M = 200.0  # the fixed surroundings are rebuilt each time the ego vehicle has driven so far
 _KEPT_TRACERS = 2000  # about 60 MB
+_LEAF_PAINT = 0x7EAF  # the stream of plants' reflectances and tints
 _MOVES_M = 0.2  # who moves less in the whole sequence stands
 ROADS = tuple(BUILDERS)
 
@@ -77,29 +78,39 @@ class WorldScene:
         duration_s: How long it lasts.
         sizes: Named prior of the road users' sizes: "us", "korea" or "kitti".
         traffic: On which side it keeps: "right", or "left", which is the mirror image of the road and its traffic.
+        world: What stands beside and on the road: "v2" or "v3", as :class:`farfield.simulation.presets.Preset` has it.
 
     Raises:
-        ConfigError: If there is no such road, prior or side.
+        ConfigError: If there is no such road, prior, side or world.
     """
 
     def __init__(
-        self, road: str, seed: np.random.SeedSequence, *, duration_s: float, sizes: str = "us", traffic: str = "right"
+        self,
+        road: str,
+        seed: np.random.SeedSequence,
+        *,
+        duration_s: float,
+        sizes: str = "us",
+        traffic: str = "right",
+        world: str = "v2",
     ) -> None:
         if road not in BUILDERS:
             raise ConfigError(f"road: expected one of {', '.join(ROADS)}; got {road!r}")
         if traffic not in SIDES:
             raise ConfigError(f"traffic: expected one of {', '.join(SIDES)}; got {traffic!r}")
+        if world not in WORLDS:
+            raise ConfigError(f"world: expected one of {', '.join(WORLDS)}; got {world!r}")
         find_prior(sizes)
         layout_seed, actor_seed, pose_seed = seed.spawn(3)
-        self.road, self.duration_s, self.sizes = road, duration_s, sizes
-        self.layout: RoadLayout = BUILDERS[road](RoadBuild(layout_seed, duration_s, sizes))
+        self.road, self.duration_s, self.sizes, self.world = road, duration_s, sizes, world
+        self.layout: RoadLayout = BUILDERS[road](RoadBuild(layout_seed, duration_s, sizes, world))
         self.traffic = traffic
-        self.actors, self.motion = self.layout.population.finish(actor_seed)
+        self.actors, self.motion = self.layout.population.finish(actor_seed, world)
         self.motion = self.motion.mirrored() if traffic == "left" else self.motion
         self._sway = np.random.default_rng(pose_seed).uniform(0, 2 * np.pi, 2)
         self._rows = {actor.track_id: row for row, actor in enumerate(self.actors)}
         self._tracers: dict[tuple[int, int], Tracer] = {}
-        self._stage: tuple[tuple[int, float], Tracer] | None = None
+        self._stage: tuple[tuple[int, float], list[Caster]] | None = None
 
     def ego_pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
         """Pose of the ego vehicle: middle of its bottom on the road, its heading, the road's slopes, some nodding."""
@@ -114,7 +125,8 @@ class WorldScene:
         track = self.layout.population.ego_s_m
         return float(np.interp(time_s / STEP_S, np.arange(len(track)), track))
 
-    def _fixed(self, time_s: float, reach_m: float, behind_m: float, knots: int) -> Body:
+    def _fixed(self, time_s: float, reach_m: float, behind_m: float, knots: int) -> list[Body]:
+        """The fixed surroundings: triangles, and in the world "v3" the leaves of plants."""
         stage = int(np.floor(self._ego_s_m(time_s) / _STAGE_M))
         if self._stage is None or self._stage[0] != (stage, behind_m):
             first = int(np.floor((stage * _STAGE_M - behind_m) / CHUNK_M))
@@ -123,8 +135,25 @@ class WorldScene:
             anchor = self.layout.land.road.point_m(np.array((stage + 0.5) * _STAGE_M), 0.0)
             if self.traffic == "left":
                 mesh, anchor = mesh.mirrored(), anchor * [1.0, -1.0, 1.0]
-            self._stage = ((stage, behind_m), Tracer(mesh, anchor_m=anchor))
-        return Body(self._stage[1], np.broadcast_to(np.eye(4), (knots, 4, 4)))
+            leaves = self._leaves(self.layout.plants_between(first * CHUNK_M, last * CHUNK_M), anchor)
+            self._stage = ((stage, behind_m), [Tracer(mesh, anchor_m=anchor), *leaves])
+        return [Body(fixed, np.broadcast_to(np.eye(4), (knots, 4, 4))) for fixed in self._stage[1]]
+
+    def _leaves(self, rows: list[int], anchor_m: Float[np.ndarray, " 3"]) -> list[Caster]:
+        """The leaves of some plants; nothing where there are none."""
+        if not rows:
+            return []
+        from farfield.simulation.foliage import Foliage, PlacedLeaves, leaf_reflectances
+
+        flip = np.array([1.0, -1.0, 1.0] if self.traffic == "left" else [1.0, 1.0, 1.0])
+        seed, plants = self.layout.seed, self.layout.plants
+        rng = np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _LEAF_PAINT)))
+        reflectance, tint = leaf_reflectances(len(plants), rng), rng.random(len(plants))
+        placed = [
+            PlacedLeaves(plants[row].leaves, row, self.layout.axes_m(row) * flip, reflectance[row], tint[row])
+            for row in rows
+        ]
+        return [Foliage(placed, seed=int(seed.generate_state(1, np.uint64)[0]), anchor_m=anchor_m)]
 
     def window(
         self, time_s: float, *, half_span_s: float = 0.0, reach_m: float = 360.0, behind_m: float = 20.0
@@ -149,7 +178,7 @@ class WorldScene:
         near[0] = False
         index_in_view = np.flatnonzero(near)
         paths = np.stack([self.motion.poses(float(moment), rows=index_in_view) for moment in moments])
-        bodies = [self._fixed(time_s, reach_m, behind_m, len(knots_s))]
+        bodies = self._fixed(time_s, reach_m, behind_m, len(knots_s))
         for row, index in enumerate(index_in_view):
             bodies.append(Body(self._tracer(int(index), time_s), paths[:, row], row))
         actors = [self.actors[index] for index in index_in_view]
@@ -191,7 +220,8 @@ class WorldScene:
         key = (index, -1 if phase is None else int(phase * PHASES))
         if key not in self._tracers:
             shape = None if phase is None else (key[1] + 0.5) / PHASES
-            self._tracers[key] = Tracer(self.actors[index].build(shape))
+            mesh = self.actors[index].build(shape)
+            self._tracers[key] = Tracer(mesh.mirrored() if self.world == "v3" and self.traffic == "left" else mesh)
         self._tracers[key] = self._tracers.pop(key)  # the latest stands last
         while len(self._tracers) > _KEPT_TRACERS:
             del self._tracers[next(iter(self._tracers))]

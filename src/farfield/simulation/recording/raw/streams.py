@@ -20,10 +20,11 @@ from farfield.files.atomic import write_text
 from farfield.files.sizes import room, sized
 from farfield.frame.provenance import SIMULATION_JOURNAL
 from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run
-from farfield.jobs.folders import STAGING
+from farfield.jobs.folders import STAGING, held
 from farfield.jobs.runs import Progress
 from farfield.simulation.recording.frames import claim
 from farfield.simulation.recording.options import SWEEP_PERIOD_S, Recording, RecordingOptions, silent
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from farfield.simulation import Preset
@@ -93,33 +94,37 @@ def record_streams(
         _announce(recording, len(units), len(units), report)
         report(f"{recording.out} gets what it has not yet; nothing is written now")
         return RawRecorded(recording=recording, written=0, bags=(), truths=())
-    # claim the folder, and find what is left to do
-    claim(recording)
-    setting = json.dumps([asdict(recording.preset), recording.seed, recording.sensors, recording.plan])
-    journal = JobJournal(recording.out / SIMULATION_JOURNAL, setting)
-    missing = sum(not journal.has(unit) for unit in units)
-    _announce(recording, missing, len(units), report)
-    if missing:
-        _check_room(recording, missing / len(units))
-        _clear(recording)
-    # simulate and write the files that are missing
-    jobs = JobOptions(workers=chosen.workers, engine=chosen.engine, progress=progress)
-    outcome = run(work, units, jobs, journal=journal)
-    # the truth of each drive, then what makes its files a bag
-    bags, truths = [], []
-    for sequence, sweeps in enumerate(recording.plan):
-        bags.append(bag_folder(recording, sequence))
-        truths.append(truth_path(recording, sequence))
-        _finish(recording, journal, sequence, sweeps)
-    journal.finish()
-    report(f"wrote {outcome.written} files, {len(bags)} bags and what is known of them into {recording.out}")
+    with held(recording.out):
+        # claim the folder, and find what is left to do
+        claim(recording)
+        setting = json.dumps([asdict(recording.preset), recording.seed, recording.sensors, recording.plan])
+        journal = JobJournal(recording.out / SIMULATION_JOURNAL, setting)
+        missing = sum(not journal.has(unit) for unit in units)
+        _announce(recording, missing, len(units), report)
+        if missing:
+            _check_room(recording, missing / len(units))
+            _clear(recording)
+        # simulate and write the files that are missing
+        jobs = JobOptions(workers=chosen.workers, engine=chosen.engine, progress=progress)
+        outcome = run(work, units, jobs, journal=journal)
+        # the truth of each drive, then what makes its files a bag
+        bags, truths = [], []
+        for sequence, sweeps in enumerate(recording.plan):
+            bags.append(bag_folder(recording, sequence))
+            truths.append(truth_path(recording, sequence))
+            _finish(recording, journal, sequence, sweeps)
+        journal.finish()
+    report(
+        f"wrote {count_of(outcome.written, 'file')}, {count_of(len(bags), 'bag')} "
+        f"and what is known of them into {recording.out}"
+    )
     return RawRecorded(recording=recording, written=outcome.written, bags=tuple(bags), truths=tuple(truths))
 
 
 def _announce(recording: Recording, missing: int, count: int, report: Callable[[str], object]) -> None:
     report(
         f"preset {recording.preset.name}, seed {recording.seed}: {sum(recording.plan) * SWEEP_PERIOD_S:g} s of raw "
-        f"streams in {len(recording.plan)} bags, {missing} of {count} files still to write"
+        f"streams in {count_of(len(recording.plan), 'bag')}, {missing} of {count_of(count, 'file')} still to write"
     )
     most = sized(_bytes_needed(recording, missing / count))
     report(f"  {', '.join(streams_of(recording))}; at most {most}; into {recording.out}")
@@ -145,7 +150,8 @@ def _check_room(recording: Recording, share: float) -> None:
     free = shutil.disk_usage(recording.out).free
     if needed > free:
         raise DatasetError(
-            f"{recording.out}: for {sum(recording.plan)} sweeps about {room(needed, free)}. Record less (--frames), "
+            f"{recording.out}: for {count_of(sum(recording.plan), 'sweep')} "
+            f"about {room(needed, free)}. Record less (--frames), "
             "fewer sensors (--sensors), or to another disk."
         )
 

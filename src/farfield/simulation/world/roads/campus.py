@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.simulation.bodies import furniture
-from farfield.simulation.bodies.mesh import Mesh, quads
+from farfield.simulation.bodies.mesh import Mesh, box, quads
+from farfield.simulation.world.furnishing import CAMPUS, CAR_PARK, Furnishing, always_clear
 from farfield.simulation.world.land import FarLand, Land, Strip
 from farfield.simulation.world.layout import (
     ASPHALT,
@@ -19,6 +20,7 @@ from farfield.simulation.world.layout import (
     RoadLayout,
     Roadside,
 )
+from farfield.simulation.world.parking import Parking
 from farfield.simulation.world.population import Population
 from farfield.simulation.world.road import Bends, RoadLine
 from farfield.simulation.world.roads.street import (
@@ -27,7 +29,9 @@ from farfield.simulation.world.roads.street import (
     add_kerbside,
     add_walkers,
     draw_junctions,
+    furnish_street,
     mark_street,
+    park_kerbside,
     zebra,
 )
 
@@ -55,7 +59,8 @@ def build_university(plot: RoadBuild) -> RoadLayout:
     lanes.append(plot.lane(offset, -1, float(rng.uniform(25, 120)), max(speed, 5.0), street.lane_m, speed, trucks=0.05))
     population.drive(lanes, ego_lane=0, ego_speed_m_s=speed)
     last = plot.travel_m(speed) + 350.0
-    add_kerbside(population, street, last, (0.4, 0.85))
+    if plot.world == "v2":
+        add_kerbside(population, street, last, (0.4, 0.85))
     add_walkers(plot, population, street, last, float(rng.uniform(8, 25)), cyclists=4.0)
     for s in population.rng.uniform(-250, last, population.rng.poisson(8.0 * (last + 250) / 250)):
         d = float(population.rng.uniform(8, 26)) + float(street.front_m.max())
@@ -89,6 +94,15 @@ def build_university(plot: RoadBuild) -> RoadLayout:
     for junction in street.junctions_m:
         station_m = float(junction) - street.side_half_m
         side.add(partial(zebra, road, street, station_m), station_m)
+    if plot.world == "v3":
+        parking = Parking(population, land, plot.stream("parking"), street.clear)
+        park_kerbside(parking, street, last, (0.6, 0.97))
+        furnishing = Furnishing(side, population, plot.stream("furniture"), street.clear)
+        furnish_street(furnishing, street, float(furnishing.rng.uniform(8.0, 16.0)))
+        for sign, index in ((-1, 0), (1, 1)):
+            front = float(street.front_m[index])
+            side.verge(sign, front + 0.1, front + 5.5, 0.03)
+            furnishing.strip(sign, front + 0.4, front + 9.0, float(furnishing.rng.uniform(5.0, 9.0)), CAMPUS)
     return layout
 
 
@@ -178,23 +192,58 @@ def build_parking_lot(plot: RoadBuild) -> RoadLayout:
     population.drive(lanes, ego_lane=0, ego_speed_m_s=speed)
     last = plot.travel_m(speed) + 260.0
     _people(population, last, plot.duration_s)
-    _fill(population, rows, pitch, last - 160.0)
+    if plot.world == "v2":
+        _fill(population, rows, pitch, last - 160.0)
     layout, side = plot.layout(land, population, speed)
     side.run(partial(_marks, road, rows, float(pitch)))
     _furnish(side, edge, float(pitch), modules)
+    if plot.world == "v3":
+        furnishing = Furnishing(side, population, plot.stream("furniture"), always_clear)
+        _carts(furnishing, rows, float(pitch))
+        for sign in (-1, 1):
+            furnishing.strip(sign, edge + 0.8, edge + 2.5, float(furnishing.rng.uniform(6.0, 12.0)), CAR_PARK)
+            furnishing.strip(sign, edge + 3.5, edge + 9.0, float(furnishing.rng.uniform(8.0, 16.0)), CAR_PARK)
+        stalls = partial(_between_aisles, float(pitch))
+        _park(Parking(population, land, plot.stream("parking"), stalls), rows, last - 160.0)
     return layout
+
+
+def _between_aisles(pitch_m: float, s_m: float, reach_m: float) -> bool:  # noqa: ARG001
+    """Whether a stall's middle lies in none of the aisles across the rows."""
+    return not _cross_aisle(np.array([s_m]), pitch_m)[0]
+
+
+def _park(parking: Parking, rows: list[tuple[float, int]], last_m: float) -> None:
+    """Fill 55 to 95 % of the stalls."""
+    share = float(parking.rng.uniform(0.55, 0.95))
+    for d, aisle in rows:
+        parking.stalls(d, -aisle, np.arange(-52, int(last_m / STALL_M)) * STALL_M + STALL_M / 2, DEPTH_M, share)
+
+
+def _carts(furnishing: Furnishing, rows: list[tuple[float, int]], pitch_m: float) -> None:
+    """Shelters for shopping carts in some of the stalls, and skips and cones in a few."""
+    for s in furnishing.side.stations(float(furnishing.rng.uniform(30.0, 60.0))):
+        d, aisle = rows[int(furnishing.rng.integers(len(rows)))]
+        stall = (np.floor(s / STALL_M) + 0.5) * STALL_M
+        kind = str(furnishing.rng.choice(["carts", "skip", "cones"], p=[0.75, 0.1, 0.15]))
+        model = furnishing.model(kind)
+        if np.ptp(model.vertices_m[:, 0]) < DEPTH_M - 0.2 and _between_aisles(pitch_m, float(stall), 0.0):
+            furnishing.stand(model, float(stall), -aisle, -aisle * d, turn_rad=np.pi / 2, spare_m=0.1)
 
 
 def _furnish(side: Roadside, edge_m: float, pitch_m: float, modules: int) -> None:
     """Lamps and trees between the rows, hedges and buildings around."""
     rng = side.rng
     lamp = furniture.pole(float(rng.uniform(7, 10)), 1.2)
+    kerbed = box([1.8, 4.0, 0.35], [0.0, 0.0, -0.025], CONCRETE)
     islands = [(module + 0.5) * _MODULE_M for module in range(-modules, modules)]
     first = np.floor(FIRST_M / pitch_m) * pitch_m
     for s in np.arange(first, side.last_m, pitch_m):
         for d in islands:
             model = lamp if rng.random() < 0.5 else side.trees[int(rng.integers(6))]
             side.put(model, float(s) + 1.0, d)
+            if side.relief is not None:
+                side.put(kerbed, float(s) + 1.0, d)
             side.put(lamp, float(s) + STALL_M * round(pitch_m / 2 / STALL_M), d)
     for sign in (-1, 1):
         side.plants(sign, edge_m + 3.5, edge_m + 12.0, 0.08)

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from farfield.simulation.bodies import furniture
+from farfield.simulation.world.furnishing import COUNTRY, ROADSIDE, Furnishing, always_clear
 from farfield.simulation.world.land import FarLand, Land, Strip
 from farfield.simulation.world.layout import (
     ASPHALT,
@@ -132,6 +133,13 @@ def build_highway(plot: RoadBuild, *, on_shoulder: bool = False) -> RoadLayout:
     layout, side = plot.layout(land, population, ego)
     highway.run(side, road)
     highway.furnish(side, around)
+    if plot.world == "v3":
+        furnishing, out = Furnishing(side, population, plot.stream("furniture"), always_clear), highway.shoulder_m
+        for sign in (-1, 1):
+            side.verge(sign, out + 0.1, out + 4.5, 0.05)
+            furnishing.strip(sign, out + 0.8, out + 5.5, float(furnishing.rng.uniform(20.0, 60.0)), ROADSIDE)
+            if furnishing.rng.random() < 0.5:  # against deer
+                furnishing.fence(sign, out + 8.5, FIRST_M, side.last_m, "wires")
     return layout
 
 
@@ -247,4 +255,11 @@ def build_mountain(plot: RoadBuild) -> RoadLayout:
     post = furniture.pole(0.9)
     for s in side.stations(12.0):
         side.put(post, float(s), cut_side * (edge + 0.15))
+    if plot.world == "v3":
+        furnishing = Furnishing(side, population, plot.stream("furniture"), always_clear)
+        for sign in (-1, 1):
+            near = edge + (1.4 if sign == cut_side else 0.9)
+            side.verge(sign, near, near + 4.0, 0.06)
+            furnishing.strip(sign, near, near + 4.0, float(furnishing.rng.uniform(10.0, 25.0)), COUNTRY)
+        furnishing.wire_poles(cut_side, edge + 3.0, 40.0)
     return layout

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.simulation.bodies.mesh import Mesh, quads
+from farfield.simulation.world.furnishing import KERB, Furnishing
 from farfield.simulation.world.land import FarLand, Land, Strip
 from farfield.simulation.world.layout import (
     ASPHALT,
@@ -19,6 +20,7 @@ from farfield.simulation.world.layout import (
     dashed_line,
     solid_line,
 )
+from farfield.simulation.world.parking import Parking
 from farfield.simulation.world.population import Lane, Population
 from farfield.simulation.world.road import RoadLine
 from farfield.simulation.world.traffic import Signal
@@ -70,6 +72,11 @@ class Street:
     def front_m(self) -> Float[np.ndarray, " 2"]:
         """Where the pavements end."""
         return self.kerb_at_m + self.walk_m
+
+    @property
+    def strip_m(self) -> Float[np.ndarray, " 2"]:
+        """Width of the pavements' strips along the kerbs where furniture stands, right and left, in world "v3"."""
+        return np.minimum(1.25, 0.45 * self.walk_m)
 
     def clear(self, s_m: float, reach_m: float) -> bool:
         """Whether a place is further than ``reach_m`` from every side street."""
@@ -126,6 +133,10 @@ class StreetLand(Land):
         """Height over the road's surface: the whole street is lower where side streets join."""
         return super().rise_m(s_m, d_m) * self._kerb_share(s_m)
 
+    def open_share(self, s_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        """None of it across side streets."""
+        return self._kerb_share(s_m)
+
     def section(self, s_m: Float[np.ndarray, " k"]) -> tuple[Float[np.ndarray, "k n"], Int[np.ndarray, "k1 n1"]]:
         """Heights and materials: asphalt across side streets."""
         height, material = super().section(s_m)
@@ -165,6 +176,27 @@ def signals_of(street: Street, lanes: list[Lane], rng: np.random.Generator) -> l
             line = lane.direction * float(junction) - street.side_half_m - 5.5
             out.append(Signal(index, line, shift, period, red * period))
     return out
+
+
+def park_kerbside(parking: Parking, street: Street, last_m: float, share: tuple[float, float]) -> None:
+    """Rows of vehicles along the kerbs, parallel or at an angle, as world "v3" has them."""
+    rng = parking.rng
+    for side, index in ((-1, 0), (1, 1)):
+        taken, kerb = float(rng.uniform(*share)), float(street.kerb_at_m[index])
+        if street.parking_m[index] <= 0:
+            continue
+        if street.angled[index]:
+            turn = float(rng.choice([1.05, np.pi / 2]))
+            parking.across(side, kerb, FIRST_M + 60.0, last_m, taken, turn_rad=turn)
+        else:
+            parking.along(side, kerb, FIRST_M + 60.0, last_m, taken)
+
+
+def furnish_street(furnishing: Furnishing, street: Street, pitch_m: float) -> None:
+    """Furniture between kerbs and those who walk, every ``pitch_m`` on average."""
+    for side, index in ((-1, 0), (1, 1)):
+        kerb = float(street.kerb_at_m[index])
+        furnishing.strip(side, kerb + 0.2, kerb + float(street.strip_m[index]), pitch_m, KERB)
 
 
 def add_kerbside(population: Population, street: Street, last_m: float, share: tuple[float, float]) -> None:
@@ -234,7 +266,10 @@ def add_walkers(
         side, walk = (-1, 1)[index], float(street.walk_m[index])
         kind, heading = str(rng.choice(kinds, p=shares)), int(rng.choice([-1, 1]))
         speed = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.7, 1.8))
-        d = float(street.kerb_at_m[index]) + float(rng.uniform(min(0.8, 0.4 * walk), max(walk - 0.4, 0.5 * walk)))
+        nearest, furthest = min(0.8, 0.4 * walk), max(walk - 0.4, 0.5 * walk)
+        if plot.world == "v3":  # beside the furniture
+            nearest = min(float(street.strip_m[index]) + 0.4, furthest)
+        d = float(street.kerb_at_m[index]) + float(rng.uniform(nearest, furthest))
         group = int(rng.choice([1, 2, 3], p=[0.7, 0.2, 0.1])) if kind == "pedestrian" else 1
         for mate in range(group):
             station_m = float(s) + 0.3 * mate

@@ -5,9 +5,10 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from farfield.simulation.bodies import furniture
+from farfield.simulation.bodies import facades, furniture
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh
+from farfield.simulation.world.furnishing import ALLEY, FRONT, GARDEN, YARD, Furnishing
 from farfield.simulation.world.land import Land
 from farfield.simulation.world.layout import (
     ASPHALT,
@@ -20,6 +21,8 @@ from farfield.simulation.world.layout import (
     RoadLayout,
     Roadside,
 )
+from farfield.simulation.world.parking import Parking
+from farfield.simulation.world.planting import plant_fronts
 from farfield.simulation.world.population import Population
 from farfield.simulation.world.road import Bends, ribbon
 from farfield.simulation.world.roads.street import (
@@ -29,7 +32,9 @@ from farfield.simulation.world.roads.street import (
     add_kerbside,
     add_walkers,
     draw_junctions,
+    furnish_street,
     mark_street,
+    park_kerbside,
     signals_of,
     zebra,
 )
@@ -37,9 +42,9 @@ from farfield.simulation.world.roads.street import (
 URBAN_BENDS = Bends(1 / 160, (150.0, 500.0), (0.05, 0.3), grade=0.02)
 
 
-def _draw_street(rng: np.random.Generator, last_m: float) -> Street:
+def _draw_street(rng: np.random.Generator, last_m: float, parked_share: float) -> Street:
     angled = rng.random(2) < 0.15
-    parking = np.where(angled, 5.2, np.where(rng.random(2) < 0.8, 2.3, 0.0))
+    parking = np.where(angled, 5.2, np.where(rng.random(2) < parked_share, 2.3, 0.0))
     return Street(
         lanes=int(rng.choice([1, 2, 3], p=[0.4, 0.45, 0.15])),
         lane_m=float(rng.uniform(3.0, 3.4)),
@@ -99,7 +104,7 @@ def build_urban(plot: RoadBuild) -> RoadLayout:
     speed, gap = float(rng.uniform(8, 16)), float(np.exp(rng.uniform(np.log(9), np.log(60))))
     if gap < 14:
         speed = float(rng.uniform(3, 8))
-    street = _draw_street(rng, plot.travel_m(speed) + 460.0)
+    street = _draw_street(rng, plot.travel_m(speed) + 460.0, 0.8 if plot.world == "v2" else 0.95)
     road = plot.line(URBAN_BENDS, speed)
     land, population = StreetLand(road, street, plot.around), plot.population(road)
     lanes, onward = [], float(population.rng.uniform(12, 60))
@@ -112,13 +117,55 @@ def build_urban(plot: RoadBuild) -> RoadLayout:
     population.drive(lanes, ego_lane=ego, ego_speed_m_s=speed, signals=signals)
     last = plot.travel_m(speed) + 350.0
     add_crossers(plot, population, street, signals, last)
-    add_kerbside(population, street, last, (0.3, 0.7))
+    if plot.world == "v2":
+        add_kerbside(population, street, last, (0.3, 0.7))
     people = float(population.rng.choice([2.0, 8.0, 18.0], p=[0.3, 0.45, 0.25]))
     add_walkers(plot, population, street, last, people)
     layout, side = plot.layout(land, population, speed, breaks_m=street.breaks())
     mark_street(side, road, street)
     _furnish(side, street, bool(signals))
+    if plot.world == "v3":
+        parking = Parking(population, land, plot.stream("parking"), street.clear)
+        park_kerbside(parking, street, last, (0.55, 0.97))
+        _clutter(Furnishing(side, population, plot.stream("furniture"), street.clear), parking, street)
+    for sign, front in ((-1, 0), (1, 1)):
+        plant_fronts(side, sign, float(street.front_m[front]), street.clear)
     return layout
+
+
+def _clutter(furnishing: Furnishing, parking: Parking, street: Street) -> None:
+    """What cars are mistaken for: furniture on pavements, before fronts and on open lots, some of which hold cars."""
+    rng = furnishing.rng
+    furnish_street(furnishing, street, float(rng.uniform(6.0, 14.0)))
+    for side, index in ((-1, 0), (1, 1)):
+        front = float(street.front_m[index])
+        for first, last in furnishing.open_stretches(side, front + 0.4, front + 9.0, 7.0):
+            _use_lot(furnishing, parking, side, front, first, last)
+        furnishing.strip(side, front + 0.4, front + 6.0, float(rng.uniform(4.0, 9.0)), FRONT)
+
+
+def _use_lot(
+    furnishing: Furnishing, parking: Parking, side: int, front_m: float, first_m: float, last_m: float
+) -> None:
+    """An open lot: rows of parked cars, a yard behind a fence, or neither."""
+    rng, draw = furnishing.rng, float(furnishing.rng.random())
+    fence = str(rng.choice(["railing", "boards", "site", "wires", "rails"]))
+    if draw < 0.4:
+        share = float(rng.uniform(0.5, 0.95))
+        for row in range(int(rng.integers(1, 3))):
+            edge, first, last = front_m + 6.2 + 5.4 * row, first_m + 0.5, last_m - 0.5
+            right, left = sorted((side * (edge - 5.6), side * edge))
+            if furnishing.side.ground.free(first, last, right, left):
+                parking.across(side, edge, first, last, share)
+                furnishing.side.ground.take(first, last, right, left)
+        if rng.random() < 0.5:
+            furnishing.fence(side, front_m + 0.35, first_m, last_m, fence, gates=0.3)
+    elif draw < 0.8:
+        furnishing.fence(side, front_m + 0.35, first_m, last_m, fence, gates=0.2)
+        for _ in range(int(rng.poisson((last_m - first_m) / 5.0))):
+            model, s = furnishing.draw(YARD), float(rng.uniform(first_m, last_m))
+            turn = float(rng.choice([0.0, np.pi / 2, rng.uniform(-0.4, 0.4)]))
+            furnishing.stand(model, s, side, front_m + float(rng.uniform(2.0, 9.0)), turn_rad=turn)
 
 
 # Suburban roads: houses with front gardens, hedges and driveways, one lane each way, a few people
@@ -134,7 +181,7 @@ def _garden(side: Roadside, population: Population, street: Street, sign: int, f
     set_back, depth = front + float(rng.uniform(5.5, 10)), float(rng.uniform(8, 11))
     wide = length_m - float(rng.uniform(5.0, 7.0))
     side.put(
-        furniture.house(wide, depth, rng),
+        furniture.house(wide, depth, rng) if side.relief is None else facades.relief_house(wide, depth, side.relief),
         first_m + 4.0 + wide / 2,
         sign * set_back,
         turn_rad=0.0 if sign > 0 else np.pi,
@@ -146,8 +193,11 @@ def _garden(side: Roadside, population: Population, street: Street, sign: int, f
     side.add(partial(_driveway, land, rows, d), drive)
     draw, height = rng.random(), float(rng.uniform(0.8, 2.0))
     kind, thick = (FOLIAGE, 0.7) if draw < 0.6 else (int(Material.BRICK), 0.25)
-    if draw < 0.8:
+    fenced = side.relief is not None and side.relief.random() < 0.4  # a fence in its stead
+    if draw < 0.8 and not fenced:
         side.wall(first_m + 3.6, length_m - 3.8, sign * (front + 0.6), height, kind, thick)
+    if side.relief is not None:
+        side.ground.take(drive - _DRIVE_M / 2, drive + _DRIVE_M / 2, *sorted((sign * front, sign * (set_back + 3.0))))
     if population.rng.random() < 0.5:
         turn = sign * np.pi / 2 * (1 if population.rng.random() < 0.7 else -1)
         population.add_parked(drive, sign * (front + 3.2), turn_rad=turn, raise_m=street.kerb_m + 0.06)
@@ -157,13 +207,32 @@ def _driveway(land: Land, rows: Float[np.ndarray, " k"], d: Float[np.ndarray, " 
     return ribbon(land.road, rows, d, land.rise_m(*np.broadcast_arrays(rows[:, None], d)) + 0.06, CONCRETE)
 
 
+def _gardens(furnishing: Furnishing, parking: Parking, street: Street) -> None:
+    """Fences where no hedge stands, what stands in gardens, more cars on driveways, wires along one side."""
+    rng = furnishing.rng
+    furnishing.wire_poles(int(rng.choice([-1, 1])), float(street.kerb_at_m.max()) + 0.35, float(rng.uniform(28, 42)))
+    furnish_street(furnishing, street, float(rng.uniform(9.0, 20.0)))
+    for side, index in ((-1, 0), (1, 1)):
+        front = float(street.front_m[index])
+        for first, last in furnishing.open_stretches(side, front + 0.2, front + 0.9, 6.0):
+            name = str(rng.choice(["pickets", "rails", "boards", "railing", "wires"]))
+            if rng.random() < 0.7:
+                furnishing.fence(side, front + 0.5, first, last, name, gates=0.12)
+        furnishing.strip(side, front + 0.9, front + 7.5, float(rng.uniform(5.0, 10.0)), GARDEN)
+        for first, last in furnishing.open_stretches(side, front + 1.5, front + 7.0, 9.0):
+            if rng.random() < 0.25:  # a forecourt
+                parking.across(
+                    side, front + 7.0, first + 1.0, min(last - 1.0, first + 14.0), float(rng.uniform(0.4, 0.9))
+                )
+
+
 def build_suburban(plot: RoadBuild) -> RoadLayout:
     """Draw one suburban sequence."""
     rng, speed = plot.rng, float(plot.rng.uniform(7, 14))
     street = Street(
         lanes=1,
         lane_m=float(rng.uniform(3.1, 3.6)),
-        parking_m=np.where(rng.random(2) < 0.5, 2.2, 0.0),
+        parking_m=np.where(rng.random(2) < (0.5 if plot.world == "v2" else 0.8), 2.2, 0.0),
         walk_m=rng.uniform(1.5, 2.5, 2),
         junctions_m=draw_junctions(rng, plot.travel_m(speed) + 460.0, 110.0, 300.0),
         side_half_m=3.5,
@@ -196,7 +265,13 @@ def build_suburban(plot: RoadBuild) -> RoadLayout:
         side.plants(sign, front + 1.8, front + 4.0, 0.02, bushes=0.8)
         side.lamps(sign, float(street.kerb_at_m[0 if sign < 0 else 1]) + 0.4, float(around.uniform(30, 50)), 6.0, 1.2)
         side.signs(sign, float(street.kerb_at_m[0 if sign < 0 else 1]) + 0.35, 120.0)
-    add_kerbside(population, street, last, (0.1, 0.4))
+        side.verge(sign, front + 0.1, front + 5.5, 0.03)
+    if plot.world == "v2":
+        add_kerbside(population, street, last, (0.1, 0.4))
+    else:
+        parking = Parking(population, land, plot.stream("parking"), street.clear)
+        park_kerbside(parking, street, last, (0.4, 0.85))
+        _gardens(Furnishing(side, population, plot.stream("furniture"), street.clear), parking, street)
     add_walkers(plot, population, street, last, float(rng.uniform(1, 7)), cyclists=2.0)
     return layout
 
@@ -227,7 +302,7 @@ def build_alleyway(plot: RoadBuild) -> RoadLayout:
     population.drive([lane], ego_lane=0, ego_speed_m_s=speed)
     last, people = plot.travel_m(speed) + 250.0, population.rng
     add_crossers(plot, population, street, [], last)
-    parked = float(people.uniform(0.1, 0.5))
+    parked = float(people.uniform(0.1, 0.5)) if plot.world == "v2" else 0.0
     for s in np.arange(-250.0, last, 6.5):
         draw, side_draw = people.random(2)
         if not street.clear(float(s), 4.0) or draw > parked:
@@ -260,6 +335,7 @@ def build_alleyway(plot: RoadBuild) -> RoadLayout:
                         length,
                         float(around.uniform(7, 13)),
                         float(around.uniform(3.5, 13)),
+                        overhang_m=0.0,
                     )
                 elif draw < 0.93:
                     material = BRICK if around.random() < 0.5 else CONCRETE
@@ -277,4 +353,10 @@ def build_alleyway(plot: RoadBuild) -> RoadLayout:
         for post in side.stations(float(around.uniform(25, 40))):
             if sign > 0 and street.clear(float(post), 0.5):
                 side.put(pole, float(post), half - 0.1, turn_rad=np.pi)
+    if plot.world == "v3":
+        parking = Parking(population, land, plot.stream("parking"), street.clear)
+        furnishing = Furnishing(side, population, plot.stream("furniture"), street.clear)
+        furnishing.strip(1, half - 0.85, half, float(furnishing.rng.uniform(6.0, 12.0)), ALLEY, spare_m=0.03)
+        furnishing.strip(-1, half - 0.5, half, float(furnishing.rng.uniform(15.0, 30.0)), ALLEY, spare_m=0.03)
+        parking.along(1, half - 0.1, -250.0, last, float(parking.rng.uniform(0.3, 0.8)))
     return layout
