@@ -1,4 +1,5 @@
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import Cirrus, CirrusWriter, Mapping, read_mapping
 from farfield.datasets.cirrus.layout import Pairing, pair, segment_numbers
 from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.clouds import read_cache, write_cache
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Sensor, merge_clouds
 from farfield.frame.cloud import cache_path, write_rows_cache
 from farfield.geometry.poses import pose_from_yaw, quaternion_from_yaw
@@ -263,25 +265,49 @@ def test_intensity_scale_is_decided_and_an_outlier_is_an_error(written):
         wrong[0].cloud("gaussian")
 
 
-def test_cache_is_used_while_it_is_fresh(written):
+def test_cache_is_used_while_it_is_fresh(written, monkeypatch):
     root, frames = written
     source = root / f"dataset1_gaussian/{frames[0].frame_id}.xyz"
     before = open_dataset(root)[0].cloud("gaussian")
     cached = write_rows_cache(source, root)
     assert cached == cache_path(source, root)
-    stamp = cached.stat().st_mtime
-    text = source.read_text()
-    source.write_text("damaged")
-    import os
+    os.utime(source, (2e9, 2e9))  # touched or copied: the bytes are the same
+    from farfield.files import xyz
 
-    os.utime(source, (stamp - 10, stamp - 10))
+    parsed, parse = [], xyz.read_xyz
+    monkeypatch.setattr(xyz, "read_xyz", lambda path, **options: parsed.append(path) or parse(path, **options))
     after = open_dataset(root)[0].cloud("gaussian")
+    assert source not in parsed
     np.testing.assert_array_equal(before.points_m, after.points_m)
     np.testing.assert_array_equal(before.intensity, after.intensity)
-    source.write_text(text)
-    os.utime(source, (stamp + 10, stamp + 10))
-    cached.write_bytes(b"never read")
-    np.testing.assert_array_equal(open_dataset(root)[0].cloud("gaussian").points_m, before.points_m)
+
+
+@pytest.mark.parametrize("change", ["one digit", "fewer rows", "an older file", "a cache of old"])
+def test_a_cache_of_other_bytes_is_stale_whatever_the_times(written, change):
+    root, frames = written
+    source = root / f"dataset1_gaussian/{frames[0].frame_id}.xyz"
+    cached = write_rows_cache(source, root)
+    times = (source.stat().st_atime_ns, source.stat().st_mtime_ns)
+    text = source.read_text()
+    if change == "one digit":
+        at = next(at for at in range(len(text) // 2, len(text)) if text[at] == ".") - 1
+        source.write_text(text[:at] + ("1" if text[at] != "1" else "2") + text[at + 1 :])
+    elif change == "fewer rows":
+        source.write_text("".join(text.splitlines(keepends=True)[:100]))
+    elif change == "an older file":
+        other = source.with_suffix(".old")
+        other.write_text("".join(reversed(text.splitlines(keepends=True))))
+        os.utime(other, ns=(times[0], times[1] - 10**12))
+        other.replace(source)
+    else:
+        arrays = read_cache(cached)
+        write_cache(cached, {name: column[:50] for name, column in arrays.items()})
+    if change not in ("an older file", "a cache of old"):
+        os.utime(source, ns=times)
+    rows = np.loadtxt(source, delimiter=",")
+    np.testing.assert_allclose(open_dataset(root)[0].cloud("gaussian").points_m, rows[:, :3], atol=1e-4)
+    write_rows_cache(source, root)
+    np.testing.assert_allclose(open_dataset(root)[0].cloud("gaussian").points_m, rows[:, :3], atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -293,7 +319,7 @@ def test_cache_is_used_while_it_is_fresh(written):
         ('{"labels": [{"label_class": "vehicle", "position": [1, 2], "size": [], "quaternion": []}]}', "3 numbers"),
         (
             '{"labels": [{"label_class": "a", "position": [1, 2, NaN], "size": [1, 1, 1], "quaternion":[0, 0, 0, 1]}]}',
-            "finite",
+            "NaN",
         ),
         (
             '{"labels": [{"label_class": "a", "position": [1, 2, 3], "size": [1, 0, 1], "quaternion": [0, 0, 0, 1]}]}',
@@ -301,7 +327,7 @@ def test_cache_is_used_while_it_is_fresh(written):
         ),
         (
             '{"labels": [{"label_class": "a", "position": [1, 2, 3], "size": [1, 1, 1], "quaternion": [0, 0, 0, 0]}]}',
-            "not zero",
+            "of length 1",
         ),
     ],
 )

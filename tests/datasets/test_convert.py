@@ -8,9 +8,10 @@ from street import street_frame
 from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.cirrus import CirrusWriter
-from farfield.datasets.convert import convert
+from farfield.datasets.convert import _work, convert
 from farfield.datasets.folder import write_boxes
 from farfield.datasets.kradar.store import JOURNAL_NAME
+from farfield.datasets.tool_export import cloud_bytes
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.clouds import write_bin
@@ -56,6 +57,23 @@ def test_conversion_resumes_and_mends_what_is_damaged(street_root, tmp_path):
     assert convert(source, tmp_path / "kitti", to="kitti", overwrite=True).written == 3
 
 
+@pytest.mark.parametrize("first", [1, 90_000])
+def test_the_room_is_judged_by_frames_that_are_spread_over_the_set(tmp_path, first):
+    (tmp_path / "data").mkdir()
+    for number in range(9):
+        np.save(tmp_path / "data" / f"{number}.npy", np.ones((first if number in (0, 1, 8) else 1000, 3), np.float32))
+    data = open_dataset(tmp_path / "data")
+    assert cloud_bytes(data, None) == 12 * 1000
+    assert cloud_bytes(data.select([]), None) == 0
+    assert (
+        _work(data, tmp_path, "kitti", "boxes", None).disk_bytes
+        == _work(data.select([3]), tmp_path, "kitti", "boxes", None).disk_bytes
+    )
+    assert _work(data, tmp_path, "cvat", "boxes", None).disk_bytes == 9 * 12 * 1000
+    (tmp_path / "data" / "4.npy").write_bytes(b"damaged")
+    assert cloud_bytes(open_dataset(tmp_path / "data"), None) == 12 * (1000 + first) / 2
+
+
 def test_a_changed_source_is_converted_again(street_root, tmp_path):
     convert(open_dataset(street_root), tmp_path / "out", to="boxes-csv")
     label = next(street_root.glob("dataset1_annotation/*.json"))
@@ -89,7 +107,7 @@ def test_a_journal_cut_off_by_a_crash_is_no_obstacle_a_damaged_one_is_named(stre
     journal.write_text(text[:-20])
     outcome = convert(source, tmp_path / "kitti", to="kitti")
     assert (outcome.written, outcome.skipped) == (1, 2)
-    journal.write_text("nonsense\n")
+    journal.write_text("nonsense\n" + text)
     with pytest.raises(FileFormatError, match="line 1"):
         convert(source, tmp_path / "kitti", to="kitti")
 
@@ -113,9 +131,10 @@ def test_boxes_csv_holds_velocities_where_a_frame_knows_them(tmp_path):
         velocity_m_s=np.array([[3.0, -1.0, 0.5]]),
     )
     for stem, each in (("a", boxes.plain()), ("b", boxes), ("c", Boxes.empty())):
-        write_bin(tmp_path / f"{stem}.bin", np.zeros((4, 4), dtype=np.float32))
-        write_boxes(tmp_path / f"{stem}.json", each)
-    convert(open_dataset(tmp_path), tmp_path / "labels.csv", to="boxes-csv")
+        (tmp_path / "own").mkdir(exist_ok=True)
+        write_bin(tmp_path / "own" / f"{stem}.bin", np.zeros((4, 4), dtype=np.float32))
+        write_boxes(tmp_path / "own" / f"{stem}.json", each)
+    convert(open_dataset(tmp_path / "own"), tmp_path / "labels.csv", to="boxes-csv")
     got = read_boxes_csv(tmp_path / "labels.csv")
     np.testing.assert_array_equal(got.velocity_m_s, [[np.nan] * 3, [3.0, -1.0, 0.5]])
     side = box_files.read(tmp_path / "labels.csv", tmp_path / "labels.csv")
@@ -155,14 +174,40 @@ def test_cache_is_written_once_and_read(street_root):
 
 
 def test_split_is_carried_over_as_image_sets(tmp_path, rng):
-    writer = CirrusWriter(tmp_path)
+    writer = CirrusWriter(tmp_path / "source")
     for number in range(4):
         writer.write(street_frame(rng, 100 * number))
-    source = open_dataset(tmp_path)
+    source = open_dataset(tmp_path / "source")
     assert len(set(source.sequences)) == 4
     convert(source, tmp_path / "kitti", to="kitti")
     made = open_dataset(tmp_path / "kitti")
     assert made.split("val").frame_ids == tuple(f"{source.keys.index(key):06d}" for key in source.split("val").keys)
+
+
+def test_a_split_that_cannot_be_carried_over_is_said_before_anything_is_written(street_root, tmp_path):
+    source = open_dataset(street_root)
+    file = source.root / source.split_file
+    file.parent.mkdir(exist_ok=True)
+    file.write_text('{"train": ["segment_00"], "val": ["lacks"]}')
+    with pytest.raises(DatasetError, match="names sequences that the data set lacks: lacks"):
+        convert(open_dataset(street_root), tmp_path / "kitti", to="kitti")
+    assert not (tmp_path / "kitti").exists()
+
+
+def test_lists_of_train_and_val_alone_are_carried_over(street_root, tmp_path):
+    convert(open_dataset(street_root), tmp_path / "one", to="kitti")
+    lists = tmp_path / "one" / "ImageSets"
+    lists.mkdir(exist_ok=True)
+    (lists / "test.txt").unlink(missing_ok=True)
+    (lists / "train.txt").write_text("000001\n")
+    (lists / "val.txt").write_text("000000\n000002\n")
+    convert(open_dataset(tmp_path / "one"), tmp_path / "two", to="kitti")
+    assert sorted(path.name for path in (tmp_path / "two" / "ImageSets").iterdir()) == ["train.txt", "val.txt"]
+    assert (tmp_path / "two" / "ImageSets" / "val.txt").read_text() == "000000\n000002\n"
+    (lists / "val.txt").write_bytes(b"\xff000000\n")
+    with pytest.raises(FileFormatError, match=r"val.txt, the list: expected numbers of frames, one a line"):
+        convert(open_dataset(tmp_path / "one"), tmp_path / "three", to="kitti")
+    assert not (tmp_path / "three").exists()
 
 
 def test_wrong_targets_are_errors(street_root, tmp_path):

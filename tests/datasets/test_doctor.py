@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from street import GROUND_M, street
+from trees import write_kitti
 
 from farfield.datasets import open_dataset
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
@@ -224,3 +225,19 @@ def test_a_selection_and_a_moved_set_are_examined_as_the_whole_is(street_root: P
     assert {topic for topic, _ in verdict(part)} >= {"Gaussian sweeps", "quaternion order", "size order"}
     assert "1 Gaussian frame" in next(one.what for one in part.findings if one.topic == "Gaussian sweeps")
     assert "of full scale" in next(one.what for one in part.findings if one.topic == "cloud gaussian")
+
+
+def test_each_image_is_held_against_its_own_frames_calibration(tmp_path: Path) -> None:
+    """KITTI's pictures have four sizes, each with a calibration of its own: the first frame's counted for all."""
+    from PIL import Image
+
+    root = tmp_path / "kitti"
+    write_kitti(root)
+    training = root / "training"
+    (training / "image_2").mkdir(exist_ok=True)
+    for kind, suffix in (("velodyne", "bin"), ("calib", "txt"), ("label_2", "txt")):
+        shutil.copy(training / kind / f"000007.{suffix}", training / kind / f"000008.{suffix}")
+    for name, size in (("000007", (1242, 375)), ("000008", (1224, 370))):
+        Image.new("RGB", size).save(training / "image_2" / f"{name}.png")
+    report = examine(open_dataset(root))
+    assert not [finding for finding in report.findings if "calibrated for" in finding.what]

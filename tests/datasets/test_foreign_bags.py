@@ -96,6 +96,20 @@ def test_what_took_a_cloud_is_decided_by_names_columns_and_number(
     assert kind_of(tmp_path, topic, names, count) == kind
 
 
+def test_a_radars_intensity_is_a_column_in_its_own_unit(tmp_path: Path) -> None:
+    """Decibels are negative too, and no flag brings them to [0, 1]: a radar's cloud has no intensity."""
+    table = sweep("x y z velocity intensity", 60)
+    table["intensity"] = np.linspace(-30, 12, 60)
+    message = rosbag.cloud(table, rosbag.START, "frame")
+    rosbag.write_bag(tmp_path / "drive", [("/ti_mmwave", rosbag.START, message)], mcap=True)
+    cloud = open_dataset(tmp_path / "drive")[0].cloud()
+    assert cloud.intensity is None
+    np.testing.assert_array_equal(cloud.column("intensity"), table["intensity"])
+    np.testing.assert_array_equal(cloud.column("velocity"), table["velocity"])
+    with pytest.raises(FileFormatError, match="Write 0 where the strength is not known"):
+        open_dataset(tmp_path / "drive", radars=("none",))[0].cloud()
+
+
 def test_the_flag_overrules(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("/scan", "x y z velocity intensity", 60)
     assert kind_of(tmp_path, *words) == "radar"

@@ -1,5 +1,6 @@
 """ROS' camera_info, OpenCV's FileStorage and Kalibr's camchain beside clouds: read, and never in the way."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,9 @@ KALIBR = """cam0:
   intrinsics: [500.0, 510.0, 32.0, 24.0]
   resolution: [64, 48]
   rostopic: /cam0/image_raw
+"""
+OWN = """matrix: [[500, 0, 32], [0, 510, 24], [0, 0, 1]]
+camera_T_lidar: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 """
 FORMS = {"ROS": ROS, "OpenCV": OPENCV, "Kalibr": KALIBR}
 UNUSABLE = {
@@ -97,3 +101,57 @@ def test_a_place_that_was_added_is_used(form: str, own: Path) -> None:
     pose = "camera_T_lidar: [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]\n"
     (own / "calibration.yaml").write_text(FORMS[form] + ("  " if form == "Kalibr" else "") + pose)
     assert len(open_dataset(own)[0].cameras) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"matrix": [[-500, 0, 32], [0, 500, 24], [0, 0, 1]]}, "fx"),
+        ({"matrix": [[500, 0, 32], [0, 0, 24], [0, 0, 1]]}, "fx"),
+        ({"matrix": [[500, 0, 0], [0, 500, 0], [32, 24, 1]]}, "fx"),  # transposed
+        (
+            {"camera_T_lidar": [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0.1, -0.2, 0.3, 1]]},
+            "0 0 0 1",
+        ),  # transposed
+        ({"camera_T_lidar": [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 2]]}, "0 0 0 1"),
+    ],
+)
+def test_our_own_form_is_checked_as_the_foreign_ones(changes: dict, expected: str, tmp_path: Path) -> None:
+    """A negative focal length mirrors the picture; a transposed pose loses where the camera stands."""
+    pose = [[0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, 0.3], [0, 0, 0, 1]]
+    content = {"matrix": [[500, 0, 32], [0, 500, 24], [0, 0, 1]], "camera_T_lidar": pose}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    assert read_calibration(tmp_path / "a.json")["camera"].camera_T_lidar[0, 3] == 0.1
+    (tmp_path / "a.json").write_text(json.dumps(content | changes))
+    with pytest.raises(FileFormatError, match=expected):
+        read_calibration(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_transposed_pose_of_a_foreign_file_is_refused(form: str, tmp_path: Path) -> None:
+    row = "{}camera_T_lidar: [[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0.1, -0.2, 0.3, 1]]\n"
+    (tmp_path / "a.yaml").write_text(FORMS[form] + row.format("  " if form == "Kalibr" else ""))
+    with pytest.raises(FileFormatError, match="0 0 0 1"):
+        read_calibration(tmp_path / "a.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        (OPENCV + "avg_reprojection_error: .nan\n", ""),
+        (KALIBR + "  timeshift_cam_imu: .inf\n", ""),
+        (OPENCV.replace("510.,", ".nan,"), "finite numbers"),
+        (KALIBR.replace("510.0", ".inf"), "finite numbers"),
+        (ROS.replace("-0.1, 0.01", "-0.1, -.inf"), "finite numbers"),
+        (ROS + "camera_T_lidar: [.nan, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\n", "finite numbers"),
+        (OWN + "width: .inf\n", "finite"),
+        (OWN.replace("1, 0, 0, 0]", "1, 0, 0, .nan]"), "finite"),
+    ],
+)
+def test_a_number_that_is_not_finite_refuses_where_it_is_read(tmp_path: Path, text: str, fault: str) -> None:
+    (tmp_path / "a.yaml").write_text(text)
+    if not fault:
+        assert len(read_calibration_file(tmp_path / "a.yaml").intrinsics) == 1
+        return
+    with pytest.raises(FileFormatError, match=fault):
+        read_calibration_file(tmp_path / "a.yaml")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from trees import write_kitti, write_kitti_tracking
 
-from farfield.datasets import open_dataset
+from farfield.datasets import open_dataset, recognise
 from farfield.datasets.kitti.boxes import boxes_from_objects, camera_from_calib, objects_from_boxes
 from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti, KittiWriter
 from farfield.errors import DatasetError, FileFormatError
@@ -110,6 +110,16 @@ def test_a_box_behind_the_camera_has_no_2d_box():
     np.testing.assert_allclose(box_px[0, [0, 2]], [959.5 - half, 959.5 + half])
     assert box_px[1].tolist() == [-1.0] * 4
     assert truncation.tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    "line", ["Car 0 0 1.5 0 0 9 9 1.5 1.8 4 1 2 20 0.1", "0 0.5 0.5 0.1 0.1", "1 2 3 4 2 1.5 0.1 Car"]
+)
+def test_folders_of_other_labels_are_no_tracks(tmp_path, line):
+    (tmp_path / "label").mkdir()
+    (tmp_path / "label" / "000000.txt").write_text("")
+    (tmp_path / "label" / "000001.txt").write_text(f"{line}\n")
+    assert recognise(tmp_path) != "kitti_tracking"
 
 
 def test_tracking_layout(tmp_path):

@@ -53,7 +53,7 @@ def test_without_the_flag_they_are_refused_with_it(own: Path) -> None:
 
 
 def test_the_flag_works_in_a_verb(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    table = tmp_path / "boxes.csv"
+    table = tmp_path.with_name(f"{tmp_path.name}-boxes.csv")
     words = ["convert", str(own), str(table), "--to", "boxes-csv"]
     assert main(words) == 1
     assert "--label-axes" in capsys.readouterr().err

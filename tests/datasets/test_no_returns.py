@@ -1,6 +1,7 @@
 """Directions without return, as 0, 0, 0 or NaN, are left out and counted; upper-case suffixes; rows of other kinds."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from farfield.datasets import open_dataset
 from farfield.datasets.argoverse2 import _read_sweep
 from farfield.datasets.astyx import _read_lidar, _read_radar
+from farfield.datasets.bags.reader import cloud_of
 from farfield.datasets.cirrus.layout import Xyz
 from farfield.datasets.cirrus.reader import CirrusSweep, IntensityScale
 from farfield.datasets.kitti.object import read_radar as read_tj4d
@@ -19,7 +21,7 @@ from farfield.errors import DatasetError, FileFormatError
 from farfield.files.astyx import LIDAR_COLUMNS
 from farfield.files.clouds import write_cache
 from farfield.files.pcd import write_pcd
-from farfield.frame.cloud import read_cloud
+from farfield.frame.cloud import CloudSettings, read_cloud
 from farfield.inspection.doctor import examine
 
 POINTS, GONE = 600, 200
@@ -92,6 +94,7 @@ def test_an_infinite_place_is_refused_in_every_file(tmp_path: Path) -> None:
 
 def test_kitti_like_radars(tmp_path: Path) -> None:
     rows = np.tile(rows_of(0.0), (1, 2))
+    rows[:, 4], rows[:, 6] = np.linalg.norm(rows[:, :3], axis=1), -1
     rows.tofile(tmp_path / "tj4d.bin")
     rows[:, :7].tofile(tmp_path / "delft.bin")
     for cloud in (read_tj4d(tmp_path / "tj4d.bin"), read_delft(tmp_path / "delft.bin")):
@@ -118,6 +121,54 @@ def test_astyx(tmp_path: Path) -> None:
         assert (len(cloud), cloud.missing) == (POINTS - GONE, GONE)
 
 
+@pytest.mark.parametrize("reader", [read_tj4d, read_delft])
+@pytest.mark.parametrize("columns", [4, 5, 6, 7, 8, 9])
+def test_rows_of_another_number_of_columns_are_no_radars(reader: Callable, columns: int, tmp_path: Path) -> None:
+    """Where the bytes divide by chance: the range, or the number of the scan, is none."""
+    if columns == (8 if reader is read_tj4d else 7):
+        return
+    rows = np.random.default_rng(1).uniform(0.1, 30, (7 * 8 * 9, columns)).astype(np.float32)
+    rows.tofile(tmp_path / "a.bin")
+    with pytest.raises(FileFormatError, match="columns"):
+        reader(tmp_path / "a.bin")
+
+
+def on_a_map() -> np.ndarray:
+    rows = rows_of(0.0).astype(np.float64)
+    rows[rows[:, 0] != 0, :2] += (500_000, 5_400_000)  # UTM; what stands at the origin is no return
+    return rows
+
+
+@pytest.mark.parametrize(
+    "reader", ["tj4d", "delft", "cirrus", "radiate", "astyx radar", "astyx lidar", "kradar", "bag"]
+)
+def test_coordinates_of_a_map_are_refused_by_every_reader(reader: str, tmp_path: Path) -> None:
+    """They were a ValueError of Cloud itself."""
+    rows, path = on_a_map(), tmp_path / "1.xyz"
+    seven = np.column_stack([rows, rows[:, 3], rows[:, 3], rows[:, 3]]).astype(np.float32)
+    with pytest.raises(DatasetError, match="coordinates of a map"):  # noqa: PT012
+        if reader in ("tj4d", "delft"):
+            (np.column_stack([seven, seven[:, 3]]) if reader == "tj4d" else seven).tofile(path)
+            (read_tj4d if reader == "tj4d" else read_delft)(path)
+        elif reader in ("cirrus", "radiate"):
+            np.savetxt(path, seven[:, :5], fmt="%.6f", delimiter=",")
+            scale = IntensityScale({"gaussian": ((path, tmp_path),)}, Xyz())
+            CirrusSweep(path, tmp_path, "gaussian", Xyz(), scale)() if reader == "cirrus" else lidar_cloud(path)
+        elif reader == "astyx radar":
+            np.savetxt(path, seven[:, :5], fmt="%.6f", header="X Y Z V_r Mag", comments="")
+            _read_radar(path)
+        elif reader == "astyx lidar":
+            np.savetxt(path, seven[:, :6], fmt="%.6f", header=LIDAR, comments="")
+            _read_lidar(path, np.eye(4))
+        elif reader == "kradar":
+            numbers = {"t": "u4", "reflectivity": "u2", "ring": "u1", "ambient": "u2", "range": "u4"}
+            whole = {name: np.zeros(POINTS, dtype=dtype) for name, dtype in numbers.items()}
+            write_pcd(path, dict(zip(NAMES, rows.T, strict=True)) | whole)
+            read_lidar(path, "os2-64")
+        else:
+            cloud_of(dict(zip(NAMES, rows.T, strict=True)), path, CloudSettings())
+
+
 def test_argoverse2(tmp_path: Path) -> None:
     feather = pytest.importorskip("pyarrow.feather")
     import pyarrow
@@ -127,6 +178,10 @@ def test_argoverse2(tmp_path: Path) -> None:
     feather.write_feather(pyarrow.table(columns), tmp_path / "1.feather")
     cloud = _read_sweep(tmp_path / "1.feather")
     assert (len(cloud), cloud.missing) == (POINTS - GONE, GONE)
+    columns |= dict(zip("xyz", on_a_map().T, strict=False))
+    feather.write_feather(pyarrow.table(columns), tmp_path / "1.feather")
+    with pytest.raises(DatasetError, match="coordinates of a map"):
+        _read_sweep(tmp_path / "1.feather")
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])
@@ -162,7 +217,7 @@ class TestStructuredArrays:
 
     def test_of_words_are_refused(self, tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", np.zeros(3, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("name", "U4")]))
-        with pytest.raises(DatasetError, match="fields of numbers"):
+        with pytest.raises(FileFormatError, match="fields of numbers, found 'name' of <U4"):
             read_cloud(tmp_path / "a.npy")
 
 

@@ -135,7 +135,8 @@ def test_convert_keeps_own_names(own: Path, tmp_path: Path, to: str) -> None:
 
 
 def test_kitti_s_text_keeps_names_apart(tmp_path: Path) -> None:
-    root = folder(tmp_path)
+    (tmp_path / "own").mkdir()
+    root = folder(tmp_path / "own")
     table = root / "labels.csv"
     table.write_text(table.read_text().replace("Cone", "traffic cone"))
     convert(open_dataset(root), tmp_path / "out", to="kitti")

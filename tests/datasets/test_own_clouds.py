@@ -117,3 +117,58 @@ def nothing_found(frame: Frame) -> Boxes:
     """A detector that finds nothing."""
     del frame
     return Boxes.empty(scored=True)
+
+
+@pytest.mark.parametrize("kind", ["rows", "structured"])
+@pytest.mark.parametrize("change", ["longer", "cut"])
+def test_an_array_of_another_size_than_its_header_says_is_refused(tmp_path: Path, kind: str, change: str) -> None:
+    """A header of 50 points before 100: numpy reads the first 50 without a word."""
+    rows = rows_of(50).astype(np.float32)[:, :4]
+    names = [(name, "f4") for name in ("x", "y", "z", "intensity")]
+    np.save(tmp_path / "a.npy", rows if kind == "rows" else np.ascontiguousarray(rows).view(names)[:, 0])
+    data = (tmp_path / "a.npy").read_bytes()
+    (tmp_path / "a.npy").write_bytes(data + rows.tobytes() if change == "longer" else data[:-4])
+    with pytest.raises(
+        (DatasetError, FileFormatError), match=r"a\.npy.*" + ("1600 bytes" if change == "longer" else "")
+    ):
+        read_cloud(tmp_path / "a.npy")
+
+
+def test_an_empty_cloud_with_a_field_of_several_numbers_is_empty(tmp_path: Path) -> None:
+    """As a driver writes a sweep in which nothing returned: its fields stay what they are."""
+    none = np.zeros(0, dtype=np.float32)
+    write_pcd(tmp_path / "a.pcd", {"x": none, "y": none, "z": none, "normal": np.zeros((0, 3), dtype=np.float32)})
+    cloud = read_cloud(tmp_path / "a.pcd")
+    assert len(cloud) == 0
+    assert {*cloud.extra} == {"normal_0", "normal_1", "normal_2"}
+
+
+@pytest.mark.parametrize("columns", [4, 5, 7])
+def test_rows_without_a_point_are_an_empty_cloud(tmp_path: Path, columns: int) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((0, columns), dtype=np.float32))
+    np.save(tmp_path / "b.npy", rows_of(200)[:, :4])
+    assert len(open_dataset(tmp_path)[0].cloud()) == 0
+    assert len(read_cloud(tmp_path / "a.npy")) == 0
+
+
+@pytest.mark.parametrize("number", [">f4", "<f8"])
+@pytest.mark.parametrize("columns", [4, 5])
+def test_other_numbers_under_said_columns_are_no_places(tmp_path: Path, number: str, columns: int) -> None:
+    """Big-endian or double numbers read as float32 stand at 1e-30 and 1e25 m."""
+    rows = rows_of(400)[:, :columns].astype(number)
+    (tmp_path / "a.bin").write_bytes(rows.tobytes())
+    with pytest.raises(DatasetError, match=r"within 10,000 km.*order of bytes"):
+        open_dataset(tmp_path, bin_columns=columns)[0].cloud()
+
+
+def test_one_impossible_place_is_refused_in_every_format(tmp_path: Path) -> None:
+    rows = rows_of(300)[:, :4].astype(np.float64)
+    rows[7, 1] = 3e12
+    fields = dict(zip(("x", "y", "z", "intensity"), rows.T, strict=True))
+    write_pcd(tmp_path / "a.pcd", fields)
+    np.save(tmp_path / "a.npy", rows)
+    rows.astype("f4").tofile(tmp_path / "a.bin")
+    (tmp_path / "a.xyz").write_text("\n".join(" ".join(map(str, row)) for row in rows.tolist()))
+    for suffix in ("pcd", "npy", "bin", "xyz"):
+        with pytest.raises(DatasetError, match=r"within 10,000 km, got .*[23]\d{12}\."):
+            read_cloud(tmp_path / f"a.{suffix}", bin_columns=4)

@@ -127,7 +127,7 @@ def test_a_damaged_time_list_is_named(tmp_path, line):
         ('[{"id": true, "class_name": "car", "bboxes": []}]', "object 0"),
         ('[{"id": 1, "class_name": "car", "bboxes": [[], {"position": [1, 2, 3]}]}]', "object 0, box 1"),
         ('[{"id": 1, "class_name": "car", "bboxes": [{"position": [1, 2, 0, 4], "rotation": 0}]}]', "positive"),
-        ('[{"id": 1, "class_name": "car", "bboxes": [{"position": [1, 2, NaN, 4], "rotation": 0}]}]', "four numbers"),
+        ('[{"id": 1, "class_name": "car", "bboxes": [{"position": [1, 2, NaN, 4], "rotation": 0}]}]', "NaN"),
         ("[" * 100_000, "JSON"),
     ],
 )

@@ -56,7 +56,7 @@ def test_annotations_of_no_cloud_are_counted(tmp_path: Path) -> None:
     write_boxes(folder / "labels" / "000.json", CAR)
     write_boxes(folder / "labels" / "img_001.json", CAR)
     said = topics(examine(open_dataset(folder)), "warn")
-    assert "1 annotations belong to no cloud" in said
+    assert "1 annotation belongs to no cloud" in said
 
 
 def test_two_annotations_of_a_frame_are_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from farfield.errors import FileFormatError
+from farfield.files import locking
 from farfield.files.atomic import open_atomic, read_bytes, write_bytes, write_text
 
 
@@ -76,12 +77,38 @@ def test_too_large_a_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "huge"
     with path.open("wb") as handle:
         handle.truncate(1 << 40)  # 1 TiB of nothing: takes no room on the disk
-    with pytest.raises(
-        FileFormatError, match=r"huge, the file: expected at most 1073741824 bytes, found 1099511627776"
-    ):
+    with pytest.raises(FileFormatError, match=r"huge, the file: expected at most 268435456 bytes, found 1099511627776"):
         read_bytes(path)
 
 
 def test_devices_are_no_files() -> None:
     with pytest.raises(FileFormatError, match="expected a regular file"):
         read_bytes(os.devnull)
+
+
+def test_a_file_that_took_the_name_of_a_swept_one_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / ".a.lock"
+    path.touch()
+
+    def replaced(handle: int) -> bool:
+        path.rename(tmp_path / "old")
+        path.write_text("another command's")
+        return True
+
+    monkeypatch.setattr(locking, "try_lock", replaced)
+    assert not locking.remove_unlocked(path)
+    assert path.read_text() == "another command's"
+
+
+def test_a_full_disk_in_the_second_try_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = os.open
+
+    def full(path: Path, flags: int, mode: int = 0o777) -> int:
+        if any(tmp_path.glob(".*.part")):
+            raise OSError(28, "No space left on device")
+        return opened(path, flags, mode)
+
+    monkeypatch.setattr("os.open", full)
+    monkeypatch.setattr(locking, "try_lock", lambda handle: False)  # as if it was just being swept away
+    with pytest.raises(OSError, match="No space left"):
+        write_bytes(tmp_path / "a", b"")

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from farfield.errors import FileFormatError
+from farfield.files import xml_tree
 from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.datumaro import format_datumaro, parse_datumaro
 from farfield.files.openlabel import format_openlabel, parse_openlabel
@@ -194,3 +195,10 @@ def test_what_is_wrong_is_named(
     with pytest.raises(FileFormatError, match=r"labels\.json"):
         parse(json.dumps(damaged).encode(), "labels.json")
     assert partial(parse, json.dumps(content).encode())("labels.json")
+
+
+def test_xml_of_very_many_elements_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(xml_tree, "MAX_ELEMENTS", 100)
+    assert len(xml_tree.parse_xml(b"<a>" + b"<b/>" * 99 + b"</a>", "a.xml").children) == 99
+    with pytest.raises(FileFormatError, match="more than 100 elements"):
+        xml_tree.parse_xml(b"<a>" + b"<b/>" * 100 + b"</a>", "a.xml")

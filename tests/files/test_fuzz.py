@@ -30,12 +30,23 @@ READERS = (
     *("kradar labels", "kradar times", "kradar description", "kradar calib", "kradar camera", "kradar odometry"),
     *("kradar gt_rel", "kradar gps", "kradar imu", "kradar local", "kradar split", "kradar record", "radar cells"),
     *("radar cells sealed", "delft poses", "delft labels", "astyx points", "astyx objects", "astyx sensors"),
-    *("radiate times", "radiate tracks", "stamps", "clock logs"),
+    *("radiate times", "radiate tracks", "stamps", "clock logs", "captures", "ouster metadata"),
     *(("films",) if importlib.util.find_spec("av") else ()),
     *(("bag.mcap", "bag.db3") if importlib.util.find_spec("rosbags") else ()),
     *("cloud pcd", "cloud ffcloud", "cloud npy", "cloud rows npy", "kradar lidar pcd", "kradar sparse npy"),
+    *("cloud npz", "cloud ply", "cloud las", "aimotive boxes", "aimotive targets", "aimotive sensors"),
+    *("argoverse1 labels", "argoverse1 pose", "dual radar labels"),
     *(WEIGHTS if importlib.util.find_spec("torch") else ()),
 )
+
+FORMS = (
+    *("yaml class mapping", "yaml cirrus mapping", "yaml calibration", "json calibration", "json nuscenes"),
+    *("json results", "json evaluation", "edits", "job journal"),
+    *(("yaml experiment", "weights' settings", "checkpoint's tensors") if importlib.util.find_spec("torch") else ()),
+    *(("form of bag.mcap", "form of bag.db3") if importlib.util.find_spec("rosbags") else ()),
+)
+GROUPS = 8
+"""Of readers that one command tries: each command imports all that they need."""
 
 
 @pytest.fixture(scope="module")
@@ -78,12 +89,31 @@ def test_the_fuzzer_notices_what_it_is_there_for(fuzzer: ModuleType, tmp_path: P
     assert list(tmp_path.glob("fault_*.xyz"))
 
 
+@pytest.fixture(scope="module")
+def form_targets(fuzzer: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    made: dict[str, Any] = fuzzer.form_targets(tmp_path_factory.mktemp("forms"))
+    return made
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("reader", READERS)
-def test_two_thousand_damaged_files_a_reader(tmp_path: Path, reader: str) -> None:
-    """In a process of its own, whose memory is limited, as the script does with one reader after the other."""
-    command = [sys.executable, str(SCRIPT), "--only", reader, "--files", "2000"]
+@pytest.mark.parametrize("form", FORMS)
+def test_settings_records_and_journals_changed_in_their_structure(
+    fuzzer: ModuleType, form_targets: dict[str, Any], tmp_path: Path, form: str
+) -> None:
+    """A sample of the part ``forms``, which changes 500 of each in processes of limited memory."""
+    assert tuple(form_targets) == FORMS
+    tally = fuzzer.fuzz(form_targets[form], 60, tmp_path, seed=2)
+    assert tally.faults == ()
+    assert tally.errors > 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("group", range(GROUPS))
+def test_a_thousand_damaged_files_a_reader(tmp_path: Path, group: int) -> None:
+    """Each in a process of its own, whose memory is limited."""
+    readers = READERS[group::GROUPS]
+    command = [sys.executable, str(SCRIPT), "fuzz", "--only", *readers, "--files", "1000"]
     command += ["--output", str(tmp_path / "table.txt"), "--keep", str(tmp_path / "faults")]
     finished = subprocess.run(command, capture_output=True, text=True, check=False)
     assert finished.returncode == 0, finished.stdout + finished.stderr
-    assert f"\n{reader:20}{2000:8}" in finished.stdout
+    assert [reader for reader in readers if f"\n{reader:20}{1000:8}" not in finished.stdout] == []

@@ -1,6 +1,8 @@
 """JSON edited in place: what is not edited keeps its bytes."""
 
 import json
+import time
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -8,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from farfield.errors import FileFormatError
-from farfield.files.json_text import append, finite, parse_json, remove, set_value, span
+from farfield.files.json_text import append, finite, parse_json, plain_json, read_json, remove, set_value, span
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-5, 5) | st.floats(-9, 9) | st.text(max_size=4),
@@ -62,16 +64,49 @@ def test_all_else_keeps_its_bytes() -> None:
 
 
 @pytest.mark.parametrize(
-    "data", [b"{", b"[NaN]", b"[Infinity]", b"\xff", b'{"a": 1, "a": 2}', b"[" * 100_000, b"1" * 5000, b""]
+    ("data", "fault"),
+    [
+        (b"{", "line 1"),
+        (b"", "an empty file"),
+        (b"\xff", "no UTF-8"),
+        (b"[NaN]", "NaN"),
+        (b"[-Infinity]", "Infinity"),
+        (b"[1e999]", "1e999, which is not finite"),
+        (b"[-1E+400]", "not finite"),
+        (b"1" * 400 + b".0", "not finite"),
+        (b"1" * 5000, "beyond 64 bits"),
+        (b"[18446744073709551616]", "beyond 64 bits"),
+        (b"[-9223372036854775809]", "beyond 64 bits"),
+        (b'{"a": 1, "a": 2}', "'a' twice in one object"),
+        (b"[" * 100_000, "deeper than 64"),
+        (b'{"a":' * 100_000, "deeper than 64"),
+        (b'["]]]]]]]]]]]",' * 70 + b"1" + b"]" * 70, "deeper than 64"),
+        (b'["\\"]]]]]]]]",' * 70 + b"1" + b"]" * 70, "deeper than 64"),
+        (b'["\\ud800"]', "surrogates not allowed"),
+        (b'{"\\uDFFF": 1}', "surrogates not allowed"),
+        (b"[" + b"{}," * 6_500_000 + b"1]", r"values that take 1\."),
+        (b"[" + b'"",' * 13_500_000 + b"1]", r"values that take 1\."),
+    ],
 )
-def test_what_is_not_json_is_refused(data: bytes) -> None:
-    with pytest.raises(FileFormatError, match="expected JSON"):
+def test_what_is_not_json_is_refused(data: bytes, fault: str) -> None:
+    began = time.process_time()
+    with pytest.raises(FileFormatError, match=f"expected JSON, found .*{fault}"):
         parse_json(data, "labels.json")
+    with pytest.raises(ValueError, match=r"."):
+        plain_json(data)
+    assert time.process_time() - began < 10
 
 
-def test_bounds() -> None:
+def test_bounds(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="at most 3 bytes"):
         parse_json(b"[1, 2]", "labels.json", max_bytes=3)
     assert parse_json(b'\xef\xbb\xbf["[[["]', "labels.json") == ["[[["]
+    assert plain_json("[" * 64 + "]" * 64) == plain_json(b"[" * 64 + b"]" * 64)
+    whole = [18446744073709551615, -9223372036854775808, 1e300, 1.5e-400, "1e999", "\U0001f600"]
+    assert plain_json(json.dumps(whole)) == whole
+    (tmp_path / "a.json").write_bytes(b"[1]")
+    assert read_json(tmp_path / "a.json") == [1]
+    with pytest.raises(FileFormatError, match="at most 2 bytes"):
+        read_json(tmp_path / "a.json", max_bytes=2)
     assert finite(10**400) is None
     assert finite(-3) == -3.0

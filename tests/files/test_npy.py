@@ -69,3 +69,13 @@ def test_damaged_files_raise_nothing_else(tmp_path: Path, rng: np.random.Generat
 def test_pickles_are_not_written(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected numbers"):
         write_npy(tmp_path / "a.npy", np.array([{}], dtype=object))
+
+
+def test_sides_beside_a_zero_are_bounded_too(tmp_path: Path) -> None:
+    write_npy(tmp_path / "a.npy", np.zeros((0, 3, 10, 10)))
+    data = (tmp_path / "a.npy").read_bytes()
+    for shape in ("(0, 4611686018427387903, 9)", "(4294967296, 4294967296, 0)"):
+        header = data[10:128].replace(b"(0, 3, 10, 10)", shape.encode()).rstrip().ljust(117) + b"\n"
+        (tmp_path / "b.npy").write_bytes(data[:10] + header[: len(data) - 10])
+        with pytest.raises(FileFormatError, match=r"found numbers of shape"):
+            read_npy(tmp_path / "b.npy")

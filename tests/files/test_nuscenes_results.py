@@ -89,6 +89,17 @@ def test_a_wrong_box_is_named(tmp_path: Path, change: dict[str, Any]) -> None:
         read_results(path)
 
 
+def test_a_velocity_of_nan_is_not_known(tmp_path: Path) -> None:
+    """As nuScenes' own tools write it, which is no JSON."""
+    path = tmp_path / "tracks.json"
+    write_nuscenes_tracks(path, tracks())
+    tree = json.loads(path.read_text())
+    tree["results"]["3"][1]["velocity"] = [float("nan")] * 2
+    path.write_text(json.dumps(tree))
+    assert "NaN" in path.read_text()
+    assert np.isnan(read_results(path)["3"].velocity_m_s[1]).all()
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"results": []}', '{"results": {"a": 1}}', "[" * 100_000])
 def test_what_is_no_result_file_is_said(tmp_path: Path, text: str) -> None:
     path = tmp_path / "tracks.json"

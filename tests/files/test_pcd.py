@@ -195,7 +195,8 @@ def test_the_written_header_is_version_0_7(tmp_path: Path) -> None:
             "14000000000 bytes .*found 28 bytes. .*truncated",
         ),
         ({"POINTS": "1", "WIDTH": "1"}, "byte 124", "14 bytes .*found 28 bytes. .*over-long"),
-        ({"COUNT": "1 1 65536"}, "byte 128", "2 points of 131084 bytes.*found 28 bytes"),
+        ({"COUNT": "1 1 65536"}, "line 5", "at most 256 numbers per point, found 65538"),
+        ({"COUNT": "1 1 250"}, "byte 126", "2 points of 512 bytes.*found 28 bytes"),
     ],
 )
 def test_headers_that_lie(tmp_path: Path, changes: dict[str, str | None], where: str, message: str) -> None:

@@ -89,10 +89,26 @@ def test_times_that_are_all_one() -> None:
     assert column(np.zeros(0)).offsets_ns().tolist() == []
 
 
+@pytest.mark.parametrize("dtype", ["f4", "i4", "u4", "u8", "i8"])
+def test_a_sweep_without_points_shows_no_unit(dtype: str) -> None:
+    """One in which nothing returned, in whatever number type its times stand."""
+    empty = np.zeros(0, dtype=dtype)
+    assert column(empty).unit() is None
+    assert column(empty, name="t_us").unit() == "us"
+    assert column(empty).offsets_ns().tolist() == []
+
+
 def test_keyframes_do_not_pass_for_turns() -> None:
     """A sweep of 50 ms every 20 s: 50 is milliseconds, not seconds."""
     values = np.linspace(0, 50, POINTS)
     assert PointTimeColumn("t", values, "memory", None, 20 * 10**9).unit() == "ms"
+
+
+@pytest.mark.parametrize("name", ["times", "timestamps", "Times"])
+def test_a_plural_is_no_unit_of_seconds(name: str) -> None:
+    values = written("i8", "us", STAMP_NS)
+    assert column(values, name=name).unit() == "us"
+    assert column(written("u4", "ns", 0), name=name).offsets_ns().tolist() == TRUE_NS.tolist()
 
 
 def test_names() -> None:

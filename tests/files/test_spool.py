@@ -1,5 +1,6 @@
 """Values that stand in a file instead of in memory."""
 
+import gc
 import pickle
 import tracemalloc
 from operator import itemgetter
@@ -57,3 +58,17 @@ def test_alike_keeps_values_where_the_other_does(tmp_path: Path) -> None:
     assert isinstance(alike(DiskDict(tmp_path)), DiskDict)
     assert alike({}) == {}
     assert isinstance(alike({}), dict)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_one_that_a_full_disk_could_not_take_goes_without_a_word() -> None:
+    """What waits cannot be written when it is cleared away: the interpreter printed a traceback."""
+    spool: DiskDict[str, int] = DiskDict()
+    spool._file.close()
+    spool._file = Path("/dev/full").open("w+b")  # noqa: SIM115 - the spool closes it
+    spool["a"] = 1
+    file = spool._file
+    del spool
+    gc.collect()
+    assert file.closed

@@ -143,3 +143,38 @@ def test_mutated_lists_and_logs_give_values_or_clear_errors(tmp_path: Path, rng:
         except FarfieldError:
             outcomes.add("refused")
     assert outcomes == {"read", "refused"}
+
+
+MICROSECONDS = [1558131117608556 + 100_000 * row for row in range(3)]
+
+
+def test_names_of_16_digits_are_microseconds_everywhere(tmp_path: Path) -> None:
+    from farfield.datasets import in_memory, open_dataset
+    from farfield.datasets.cirrus.layout import time_of
+    from farfield.datasets.convert import _times
+    from farfield.frame import Frame
+    from farfield.privacy.sources import _series
+
+    expected = [1000 * value for value in MICROSECONDS]
+    assert read(tmp_path / "list.txt", "".join(f"{value}\n" for value in MICROSECONDS)) == expected
+    paths = [Path(f"{value}.xyz") for value in MICROSECONDS]
+    assert [time_of(path) for path in paths] == expected
+    assert _series(tmp_path, paths).times_s.tolist() == pytest.approx([0.0, 0.1, 0.2], abs=1e-6)
+    frames = [Frame(sequence="s", frame_id=path.stem) for path in paths]
+    assert _times(in_memory(frames)) == expected
+    own = tmp_path / "own"
+    own.mkdir()
+    for path in paths:
+        np.save(own / f"{path.stem}.npy", np.ones((5, 4), np.float32))
+    assert [frame.time_ns for frame in open_dataset(own)] == expected
+
+
+def test_counters_of_16_digits_are_no_times(tmp_path: Path) -> None:
+    from farfield.files.stamps import name_time_ns
+
+    assert name_time_ns("0000000000000005") is None
+    assert name_time_ns("9999999999999999999") is None, "beyond 64 bits"
+    assert name_time_ns("12345678901234567") == 12345678901234567
+    assert read(tmp_path / "list.txt", "12345678901234567\n") == [12345678901234567]
+    assert name_time_ns("155813111760855") is None
+    assert name_time_ns("\u0661" * 16) is None

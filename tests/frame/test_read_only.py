@@ -179,3 +179,40 @@ def test_what_is_no_rigid_motion_moves_nothing(motion: np.ndarray) -> None:
     ):
         with pytest.raises(ConfigError, match="rigid motion"):
             move()
+
+
+def _adds(frame: Frame) -> Boxes:
+    frame.cloud().points_m[:, 2] += 1.0
+    return _boxes()
+
+
+def _sorts(frame: Frame) -> Boxes:
+    frame.cloud().points_m.sort(axis=0)
+    return _boxes()
+
+
+def _adds_by_ufunc(frame: Frame) -> Boxes:
+    np.add(frame.cloud().points_m, 1.0, out=frame.cloud().points_m)
+    return _boxes()
+
+
+def _replaces(frame: Frame) -> Boxes:
+    frame.cloud().points_m = np.zeros((0, 3))  # type: ignore[misc]
+    return _boxes()
+
+
+@pytest.mark.parametrize("detector", [_adds, _sorts, _adds_by_ufunc, _replaces])
+@pytest.mark.parametrize("run", [ff.detect, ff.evaluate])
+def test_a_detector_that_writes_into_its_input_is_named(detector, run) -> None:
+    with pytest.raises(ConfigError, match=rf"{detector.__name__}.*must not change what it gets.*\.copy\(\)") as caught:
+        run(detector, [_frame()])
+    assert caught.value.__cause__ is not None
+
+
+def test_other_errors_of_a_detector_stay_as_they_are() -> None:
+    with pytest.raises(ValueError, match="mine"):
+        ff.detect(_fails, [_frame()])
+
+
+def _fails(frame: Frame) -> Boxes:
+    raise ValueError("mine")

@@ -5,9 +5,11 @@ builds frames of ``Lazy`` clouds; ``dataset`` registers it.
 """
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.formats import DATASETS, Format, dataset, open_dataset, recognise
+from farfield.datasets.formats import DATASETS, Format, FormatFacts, dataset
 from farfield.datasets.frame_maps import MAPS, FrameMap, make
 from farfield.datasets.memory import InMemory, in_memory
+from farfield.datasets.opening import open_dataset
+from farfield.datasets.recognition import recognise
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Drive, Frame, Lazy, Sensor
 
 __all__ = [
@@ -20,6 +22,7 @@ __all__ = [
     "Dataset",
     "Drive",
     "Format",
+    "FormatFacts",
     "Frame",
     "FrameMap",
     "InMemory",

@@ -14,9 +14,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
-from farfield.errors import DatasetError, FileFormatError, MissingExtraError
-from farfield.files.atomic import read_bytes
+from farfield.errors import DatasetError, FileFormatError
+from farfield.files.cuboids import FARTHEST_M, check_turns, is_name
+from farfield.files.feather import read_feather
 from farfield.files.images import read_image
+from farfield.files.limits import MAX_NAME
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
@@ -26,36 +28,26 @@ from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2, normalised_class
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _TRANSLATION = ("tx_m", "ty_m", "tz_m")
 _SIZE = ("length_m", "width_m", "height_m")
+_TEXTS, _WHOLE = ("track_uuid", "category", "sensor_name"), ("timestamp_ns", "num_interior_pts")
 _IMAGE_WITHIN_NS = 100_000_000
 
 Table = dict[str, np.ndarray]
 
 
-def read_feather(path: Path, names: Sequence[str]) -> Table:
-    """Read columns of a feather file.
+def read_columns(path: Path, names: Sequence[str]) -> Table:
+    """Read columns of one of the data set's feather files.
 
     Raises:
         MissingExtraError: If pyarrow is not installed.
-        FileFormatError: If the file is damaged or lacks a column.
+        FileFormatError: If the file is damaged, lacks a column, or holds anything but numbers in one that has numbers.
     """
-    try:
-        import pyarrow
-        import pyarrow.feather
-    except ImportError as error:
-        raise MissingExtraError("pyarrow", "argoverse2", "Reading Argoverse 2") from error
-    try:
-        table = pyarrow.feather.read_table(pyarrow.BufferReader(read_bytes(path)), memory_map=False)
-        missing = [name for name in names if name not in table.column_names]
-        if missing:
-            actual = f"columns {', '.join(table.column_names)[:200]}"
-            raise FileFormatError(path, where="the header", expected=f"columns {', '.join(names)}", got=actual)
-        table.validate(full=True)
-        holed = [name for name in names if table.column(name).null_count]
-        if holed:
-            raise FileFormatError(path, where="the table", expected="no nulls", got=f"some in {', '.join(holed)}")
-        return {name: table.column(name).to_numpy() for name in names}
-    except (pyarrow.ArrowException, OSError, ValueError) as error:
-        raise FileFormatError(path, where="the file", expected="a feather table", got=str(error)[:200]) from error
+    columns = read_feather(path, names)
+    for name, values in columns.items():
+        kind = "text" if name in _TEXTS else "whole numbers" if name in _WHOLE else "numbers"
+        sound = kind != "text" or all(is_name(text) and len(text) <= MAX_NAME for text in set(values.tolist()))
+        if not sound if kind == "text" else values.dtype.kind not in ("iu" if kind == "whole numbers" else "iuf"):
+            raise FileFormatError(path, where=f"column {name}", expected=kind, got=str(values.dtype)[:80])
+    return columns
 
 
 class _Log:
@@ -76,9 +68,16 @@ class _Log:
         names = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_QUATERNION, *_TRANSLATION, "num_interior_pts")
         if path is None:
             return None
-        table = read_feather(path, names)
+        table = read_columns(path, names)
         others = table["category"].astype(str) != "EGO_VEHICLE"
-        return table if others.all() else {name: values[others] for name, values in table.items()}
+        table = table if others.all() else {name: values[others] for name, values in table.items()}
+        stamps = table["timestamp_ns"]
+        if self.sweeps and len(stamps) and not np.isin(stamps, [_time(path) for path in self.sweeps]).any():
+            raise DatasetError(
+                f"{path}: expected timestamp_ns of the sweeps, such as {self.sweeps[0].stem}, found none, but others "
+                f"such as {stamps[0]}. They may be of another log, or in another unit."
+            )
+        return table
 
     @cached_property
     def stamps(self) -> list[tuple[int, Path | None]]:
@@ -105,7 +104,7 @@ class _Log:
     @cached_property
     def poses(self) -> Table | None:
         path = self.root / "city_SE3_egovehicle.feather"
-        return read_feather(path, ("timestamp_ns", *_QUATERNION, *_TRANSLATION)) if path.is_file() else None
+        return read_columns(path, ("timestamp_ns", *_QUATERNION, *_TRANSLATION)) if path.is_file() else None
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
@@ -113,8 +112,8 @@ class _Log:
         if not (folder / "intrinsics.feather").is_file():
             return {}
         size = ("height_px", "width_px")
-        lens = read_feather(folder / "intrinsics.feather", ("sensor_name", *_LENS, *size))
-        mount = read_feather(folder / "egovehicle_SE3_sensor.feather", ("sensor_name", *_QUATERNION, *_TRANSLATION))
+        lens = read_columns(folder / "intrinsics.feather", ("sensor_name", *_LENS, *size))
+        mount = read_columns(folder / "egovehicle_SE3_sensor.feather", ("sensor_name", *_QUATERNION, *_TRANSLATION))
         row_of = {str(name): row for row, name in enumerate(mount["sensor_name"])}
         return {
             str(name): _camera(lens, row, _pose_at(mount, row_of[str(name)]))
@@ -235,8 +234,13 @@ def _annotation(path: Path, where: str, table: Table, classes: str) -> Annotatio
     quaternion = np.column_stack([table[name] for name in _QUATERNION]).astype(np.float64)
     numbers = np.column_stack([table[name] for name in (*_SIZE, *_QUATERNION, *_TRANSLATION)])
     try:
-        if not (np.abs(numbers) < 1e9).all():
-            raise ValueError("numbers that are not finite or above 1e9")
+        if not (np.abs(numbers) <= FARTHEST_M).all():
+            raise ValueError(f"numbers that are not finite or above {FARTHEST_M:g}")
+        if (table["num_interior_pts"] < 0).any():
+            raise ValueError("a negative num_interior_pts")
+        if len(np.unique(table["track_id"])) < len(original):
+            raise ValueError("a track twice at one time")
+        check_turns(quaternion, path, f"{where}, box {{}}")
         boxes = Boxes(
             centre_m=np.column_stack([table[name] for name in _TRANSLATION]),
             size_m=np.column_stack([table[name] for name in _SIZE]),
@@ -251,7 +255,7 @@ def _annotation(path: Path, where: str, table: Table, classes: str) -> Annotatio
 
 
 def _read_sweep(path: Path) -> Cloud:
-    table = read_feather(path, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
+    table = read_columns(path, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
     points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float32)
     valid = returned(path, points)
     table = {name: values[valid] for name, values in table.items()}

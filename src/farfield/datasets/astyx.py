@@ -9,19 +9,21 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 
 from farfield.datasets.base import Dataset, Indices
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.ascii_table import whole_numbers
 from farfield.files.astyx import LIDAR_COLUMNS, RADAR_COLUMNS, read_objects, read_points, read_sensors
 from farfield.files.images import image_size, read_image
+from farfield.files.limits import MAX_RINGS
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
 from farfield.vocabulary.classes import CIRRUS_FROM_ASTYX, normalised_class
 
 RADAR, LIDAR, CAMERA = "radar_6455", "lidar_vlp16", "camera_front"
-_REFLECTIVITY_FULL = 255.0
+_REFLECTIVITY_FULL, _HOUR_US = 255.0, 3_600_000_000
 
 
 def root_of(folder: Path) -> Path | None:
@@ -34,7 +36,8 @@ class Astyx(Dataset):
     """Astyx' frames: clouds ``"radar"`` and ``"lidar"``, image ``"camera"``, boxes of the full objects.
 
     The radar's cloud has ``v_r_m_s`` (once more as ``doppler_m_s``), radial velocity relative to the radar, and
-    ``magnitude_db``; the LiDAR's ``ring`` and ``time_us``, microseconds of the hour. The annotation's ``details`` are
+    ``magnitude_db``; the LiDAR's ``ring``, ``time_us``,
+    microseconds of the hour, and ``offset_ns`` since the sweep's first point. The annotation's ``details`` are
     ``occlusion`` and ``certainty`` of each box. The frames are short pieces of drives, in one sequence: which follow
     one another is not told.
 
@@ -130,10 +133,27 @@ def _read_lidar(path: Path, frame_T_lidar: Float[np.ndarray, "4 4"]) -> Cloud:
     columns = read_points(path, LIDAR_COLUMNS)
     valid = returned(path, np.stack(columns[:3], axis=1))
     x, y, z, strength, ring, time_us = (column[valid] for column in columns)
+    outside = (strength < 0) | (strength > _REFLECTIVITY_FULL)
+    if outside.any():
+        got = f"{strength[outside][0]:g}"
+        raise FileFormatError(path, where="column Reflectivity", expected="numbers from 0 to 255", got=got)
     placed = np.stack([x, y, z], axis=1) @ frame_T_lidar[:3, :3].T + frame_T_lidar[:3, 3]
-    intensity = np.clip(strength / _REFLECTIVITY_FULL, 0, 1).astype(np.float32)
-    extra = {"ring": ring.astype(np.int64), "time_us": time_us.astype(np.int64)}
+    whole_us = whole_numbers(time_us, largest=_HOUR_US, path=path, where="column Timestamp")
+    extra = {
+        "ring": whole_numbers(ring, largest=MAX_RINGS - 1, path=path, where="column LaserID"),
+        "time_us": whole_us,
+        "offset_ns": _since_first_ns(whole_us),
+    }
+    intensity = (strength / _REFLECTIVITY_FULL).astype(np.float32)
     return Cloud(placed.astype(np.float32), intensity, extra, int((~valid).sum()))
+
+
+def _since_first_ns(time_us: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """Times of the hour since the first of a sweep, which may begin before the hour and end behind it."""
+    if not len(time_us):
+        return time_us
+    from_one_us = (time_us - time_us[0] + _HOUR_US // 2) % _HOUR_US
+    return (from_one_us - from_one_us.min()) * 1000
 
 
 def _read_annotation(path: Path, classes: str) -> Annotation:

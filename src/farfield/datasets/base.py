@@ -8,15 +8,17 @@ from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.datasets.frame_maps import MAPS, FrameMap, described
 from farfield.datasets.splits import SPLIT_FILE, read_parts, split_indices
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, DatasetError, FarfieldError
+from farfield.files.atomic import read_bytes
 from farfield.frame import Annotation, Drive, Frame, Key
+from farfield.vocabulary.counts import count_of
 
 Indices = Int[np.ndarray, " _"]
 Poses = Float[np.ndarray, "_ 4 4"]
@@ -127,6 +129,10 @@ class Dataset(ABC):
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` is read from."""
 
+    def measurement(self, index: int) -> int:
+        """Number of what was measured in frame ``index`` among that of its files: views of one measurement share it."""
+        return index
+
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What a reader took for granted or decided from the data: a sentence each, with the flag that overrules it."""
@@ -157,7 +163,10 @@ class Dataset(ABC):
         return (self.frame(index) for index in range(len(self)))
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({str(self.root)!r}: {len(self)} frames, {len(set(self.sequences))} sequences)"
+        return (
+            f"{type(self).__name__}({str(self.root)!r}: {count_of(len(self), 'frame')}, "
+            f"{count_of(len(set(self.sequences)), 'sequence')})"
+        )
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -224,6 +233,19 @@ class Dataset(ABC):
     def notes(self) -> tuple[str, ...]:
         """What was left out or cannot be used of what the folder holds, one sentence each."""
         return ()
+
+    @property
+    def remarks(self) -> tuple[tuple[Literal["warning", "note"], str], ...]:
+        """What to tell who opens the data: :attr:`notes` of the reader as warnings, its :attr:`assumptions` as notes.
+
+        Of a damaged file, from which nothing can be assumed, what reads it tells.
+        """
+        reader = self.unwrapped
+        try:
+            assumptions = reader.assumptions
+        except FarfieldError:
+            assumptions = ()
+        return (*(("warning", note) for note in reader.notes), *(("note", sentence) for sentence in assumptions))
 
     @property
     def unwrapped(self) -> "Dataset":
@@ -304,10 +326,17 @@ class Dataset(ABC):
         """
         raise ConfigError(f"{self.root}: {self.name} has no parts {name!r} beside those of split(name).")
 
-    def fingerprint(self) -> str:
-        """SHA-256 over the frames' names, their files' names and sizes (not their contents), and the maps if any.
+    def fingerprint(self, *, options: bool = True) -> str:
+        """SHA-256 over the frames' names, their files' names and sizes, and the reader's options and the maps if any.
 
-        Empty for frames in memory.
+        Contents of the frames' files do not count; of an option that names a file its bytes do, not its place. Empty
+        for frames in memory.
+
+        Args:
+            options: Whether the reader's options count; without them the same files have the same fingerprint.
+
+        Raises:
+            DatasetError: If a file of a frame is not there.
         """
         if not self.stored:
             return ""
@@ -315,10 +344,40 @@ class Dataset(ABC):
         for index, key in enumerate(self.keys):
             digest.update("\0".join(key).encode())
             for path in self.files(index):
-                digest.update(f"\0{path.name}\0{path.stat().st_size}\n".encode())
+                digest.update(f"\0{path.name}\0{_size_of(path, key)}\n".encode(errors="surrogateescape"))
+        if options and (chosen := _identified(self.unwrapped.options)):
+            digest.update(b"options " + json.dumps(chosen, sort_keys=True).encode())
         if self.maps:
             digest.update(json.dumps([described(function) for function in self.maps], sort_keys=True).encode())
         return digest.hexdigest()
+
+
+def _size_of(path: Path, key: Key) -> int:
+    try:
+        return path.stat().st_size
+    except OSError as error:
+        raise DatasetError(
+            f"{path}: expected a file of frame {key}, got: {error.strerror}. Add it, or name the sequences whose files "
+            f"are there in {SPLIT_FILE}"
+        ) from error
+
+
+_UNSET_OPTIONS: tuple[Any, ...] = (None, "", "auto", [], {})
+_LONGEST_PATH = 256
+
+
+def _identified(option: Any) -> Any:
+    """Options without what is not set: of files the digests of their bytes, of folders, whose files count, nothing."""
+    if isinstance(option, Mapping):
+        entries = ((str(name), _identified(value)) for name, value in option.items())
+        return {name: value for name, value in entries if value not in _UNSET_OPTIONS}
+    if isinstance(option, list | tuple):
+        return [value for value in map(_identified, option) if value not in _UNSET_OPTIONS]
+    if isinstance(option, str) and len(option) < _LONGEST_PATH and ("/" in option or Path(option).suffix):
+        path = Path(option)  # a word, such as of axes, names no file that happens to be called so
+        if path.exists():
+            return hashlib.sha256(read_bytes(path)).hexdigest() if path.is_file() else None
+    return option
 
 
 class Subset(Dataset):
@@ -342,6 +401,10 @@ class Subset(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files that frame ``index`` of the selection is read from."""
         return self.parent.files(self.indices[index])
+
+    def measurement(self, index: int) -> int:
+        """Number of what was measured in frame ``index`` of the selection."""
+        return self.parent.measurement(self.indices[index])
 
     def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index`` of the selection."""

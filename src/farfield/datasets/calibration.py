@@ -25,14 +25,14 @@ import yaml
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from farfield.datasets.foreign_calibration import ForeignCamera, foreign_cameras, parse_yaml
+from farfield.datasets.foreign_calibration import ForeignCamera, check_matrix, foreign_cameras, parse_calibration
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.yaml_text import MAX_BYTES
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
 
 CALIBRATION_NAMES = ("calibration.yaml", "calibration.yml", "calibration.json")
-_MAX_BYTES = 1 << 20
 
 _Row3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
@@ -80,9 +80,9 @@ def read_calibration_file(path: Path | str, *, inverse: bool = False) -> Calibra
         FileFormatError: If the file is no such calibration or a rotation is not orthonormal.
     """
     try:
-        content = parse_yaml(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))  # JSON is YAML
+        content = parse_calibration(read_bytes(path, max_bytes=MAX_BYTES).decode("utf-8"))  # JSON is YAML
         foreign = foreign_cameras(content)
-    except (yaml.YAMLError, ValueError, RecursionError, TypeError) as error:
+    except (yaml.YAMLError, ValueError, TypeError) as error:
         raise FileFormatError(path, where="the file", expected="a calibration", got=plain(error), fix=_FIX) from error
     if foreign is None:
         return CalibrationFile(cameras=_own_cameras(path, content, inverse), intrinsics={})
@@ -176,10 +176,14 @@ _FIX = "Give matrix (3 x 3), camera_T_lidar (4 x 4), and optionally distortion (
 
 
 def _camera(path: Path | str, name: str, entry: _CameraEntry, inverse: bool) -> Camera:
-    motion = np.array(entry.camera_T_lidar)
+    matrix, motion = np.array(entry.matrix), np.array(entry.camera_T_lidar)
+    try:
+        check_matrix(matrix)
+    except ValueError as error:
+        raise FileFormatError(path, where=f"cameras.{name}", expected="a camera", got=str(error), fix=_FIX) from error
     _check_rotation(path, name, motion)
     return Camera(
-        matrix=np.array(entry.matrix),
+        matrix=matrix,
         distortion=np.array(entry.distortion),
         camera_T_lidar=invert(motion) if inverse else motion,
         width_px=entry.width,
@@ -188,7 +192,13 @@ def _camera(path: Path | str, name: str, entry: _CameraEntry, inverse: bool) -> 
 
 
 def _check_rotation(path: Path | str, name: str, motion: Float[np.ndarray, "4 4"]) -> None:
-    error = float(np.abs(motion[:3, :3] @ motion[:3, :3].T - np.eye(3)).max())
+    if motion[3].tolist() != [0, 0, 0, 1]:
+        got, fix = " ".join(f"{value:g}" for value in motion[3]), "A transposed matrix looks so: write its rows."
+        raise FileFormatError(
+            path, where=f"cameras.{name}.camera_T_lidar", expected="0 0 0 1 as the last row", got=got, fix=fix
+        )
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers of 1e300 are no rotation either
+        error = float(np.abs(motion[:3, :3] @ motion[:3, :3].T - np.eye(3)).max())
     if not error < 1e-3 or np.linalg.det(motion[:3, :3]) < 0:
         raise FileFormatError(
             path,

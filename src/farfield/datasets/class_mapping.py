@@ -15,18 +15,18 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.frame_maps import Earlier
 from farfield.errors import ConfigError, plain
 from farfield.files.atomic import read_bytes
-from farfield.files.yaml_text import plain_yaml
+from farfield.files.limits import MAX_NAME
+from farfield.files.yaml_text import MAX_BYTES, plain_yaml
 from farfield.frame import Annotation, Boxes, Frame
 from farfield.vocabulary.classes import normalised_class
 
 MAPPING_NAME = "mapping.yaml"
-_MAX_MAPPING_BYTES = 1 << 20
 
 
 class _Classes(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    classes: dict[str, Annotated[str, Field(min_length=1)]] = {}
+    classes: dict[str, Annotated[str, Field(min_length=1, max_length=MAX_NAME)]] = {}
 
 
 def read_class_mapping(path: Path | str) -> Mapping[str, str]:
@@ -46,8 +46,9 @@ def read_class_mapping(path: Path | str) -> Mapping[str, str]:
 def _in_one_form(path: Path | str, classes: Mapping[str, str]) -> dict[str, str]:
     """The classes with their names in composed Unicode, in which readers compare them."""
     for name in classes.values():
-        if not name.isprintable():
-            raise ConfigError(f"{path}: expected names of classes on one line, got {name!r}")
+        if not name.isprintable() or len(name) > MAX_NAME:
+            expected = f"names of classes on one line, of at most {MAX_NAME} characters"
+            raise ConfigError(f"{path}: expected {expected}, got {name[:80]!r}")
     return {normalize("NFC", name): normalize("NFC", ours) for name, ours in classes.items()}
 
 
@@ -63,9 +64,8 @@ def maps_classes(path: Path | str) -> bool:
 
 def _content(path: Path | str) -> Any:
     try:
-        text = read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8")
-        content = plain_yaml(text)
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        content = plain_yaml(read_bytes(path, max_bytes=MAX_BYTES))
+    except (OSError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
     return {} if content is None else content
 
@@ -114,7 +114,7 @@ class ClassesSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    classes: dict[str, Annotated[str, Field(min_length=1)]]
+    classes: dict[str, Annotated[str, Field(min_length=1, max_length=MAX_NAME)]]
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,25 @@
 """How the cloud files of a data set are read: one number of columns, one full scale, one unit of times for all."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64, Shaped
 
-from farfield.errors import ConfigError, FarfieldError
+from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError, MissingExtraError
 from farfield.files.clouds import names_of
 from farfield.files.intensities import intensity_scale_of
-from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_times, point_time_column
+from farfield.files.las import las_middle, read_las
+from farfield.files.map_coordinates import MAP_SUFFIXES, NEAREST_M, Origin, less_origin, origin_of
+from farfield.files.point_times import UNITS_NS, PointTimeColumn, PointTimes, check_point_times, point_time_column
 from farfield.frame import Cloud
 from farfield.frame.cloud import (
     CloudSettings,
+    Columns,
     columns_shown,
     named_columns,
     points_of,
@@ -24,6 +29,7 @@ from farfield.frame.cloud import (
 )
 
 _LOOKED_AT = 8
+_UNREADABLE = (FileFormatError, DatasetError, ConfigError, MissingExtraError, OSError)  # not so a lack of memory
 
 
 class CloudReading:
@@ -31,6 +37,11 @@ class CloudReading:
 
     What is not given is decided by some of the files, spread from the first to the last, when a cloud is first read:
     a scale or a unit of its own for each file would make one sweep darker or longer than the next.
+
+    LAS and LAZ clouds of a map lose one origin, that of the first. Those of a survey that lie more than 10 km from it
+    lose the middle of their own box, where the data set gives their frames the pose of :meth:`world_T_frame`, by which
+    they stay in one piece; they are refused elsewhere, and so are clouds in coordinates of their own among those of a
+    map.
 
     Args:
         paths: All files, in the order of time.
@@ -40,6 +51,7 @@ class CloudReading:
         stamps_ns: Time of each file since 1970; None where they are not known.
         usual_columns: Columns of the format's ``.bin`` files, taken where the numbers do not show them.
         usual_scale: The format's full scale, taken where the columns are as usual.
+        posed: Whether the frames take the poses of :meth:`world_T_frame`.
 
     Raises:
         ConfigError: If the scale is not positive, or the unit is none.
@@ -55,6 +67,7 @@ class CloudReading:
         stamps_ns: Sequence[int | None] = (),
         usual_columns: int | None = None,
         usual_scale: float | None = None,
+        posed: bool = False,
     ) -> None:
         if intensity_scale is not None and not 0 < intensity_scale < np.inf:
             raise ConfigError(f"intensity_scale: expected a positive number, got {intensity_scale!r}")
@@ -62,21 +75,110 @@ class CloudReading:
         self.bin_columns = bin_columns or columns_shown(paths[:_LOOKED_AT]) or usual_columns
         is_usual = usual_scale is not None and self.bin_columns == usual_columns
         self.intensity_scale = usual_scale if intensity_scale is None and is_usual else intensity_scale
-        self.point_times = point_times
+        self.point_times, self.posed = point_times, posed
+        self.maps = tuple(path for path in paths if path.suffix.lower() in MAP_SUFFIXES)
         rows = np.unique(np.linspace(0, max(len(paths) - 1, 0), _LOOKED_AT).astype(int)).tolist()
         self.samples = tuple(paths[row] for row in rows if paths)
         times = [time for time in stamps_ns if time is not None]
         steps = [later - earlier for earlier, later in pairwise(times) if later > earlier]
         self.period_ns = float(np.median(steps)) if steps and len(times) == len(paths) else None
 
-    @cached_property
+    @property
     def settings(self) -> CloudSettings:
         """What all clouds share, by the sampled files; damaged ones are reported when they are read."""
-        samples = {}
+        return self._decided[0]
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What was decided from LAS and LAZ clouds and shows in none of them: a sentence each."""
+        if not self.maps:
+            return ()
+        sentences = list(self._decided[1])
+        alike = len(self.maps) - len(self.far)
+        if alike > 1 and any(self.settings.origin_m or ()):
+            sentences.append(f"{self.maps[0].parent}: {alike} clouds of a map lose that origin alike")
+        if self.far and self.posed:
+            path, (x_m, y_m, z_m) = next(iter(self.far.items()))
+            sentences.append(
+                f"{len(self.far)} of {len(self.maps)} clouds lie more than 10 km from that origin and lose the middle "
+                f"of their own box, such as {path}: ({x_m:.0f}, {y_m:.0f}, {z_m:.0f}) m; the frames' poses say where "
+                "all stand from the first"
+            )
+        return tuple(sentences)
+
+    @cached_property
+    def far(self) -> Mapping[Path, Origin]:
+        """The middle in whole metres of the clouds of a map that lie more than 10 km from the origin of all."""
+        middles = {path: self._far(path) for path in self.maps} if any(self.settings.origin_m or ()) else {}
+        return {path: middle for path, middle in middles.items() if middle is not None and _on_map(middle)}
+
+    def _far(self, path: Path) -> Origin | None:
+        """The middle of a cloud's box that lies more than 10 km from the origin of all; None where it does not."""
+        origin_m = self.settings.origin_m
+        with suppress(*_UNREADABLE):
+            middle_m = las_middle(path)
+            if origin_m is not None and middle_m is not None and np.linalg.norm(middle_m - origin_m) > NEAREST_M:
+                x_m, y_m, z_m = np.rint(middle_m).tolist()
+                return (x_m, y_m, z_m)
+        return None
+
+    def _origin_of(self, path: Path) -> Origin | None:
+        """What is subtracted from a cloud of a map.
+
+        Raises:
+            DatasetError: If it is not of the map of the others, or far from them where frames have no poses.
+        """
+        origin_m, middle_m = self.settings.origin_m, self._far(path)
+        if origin_m is None or middle_m is None:
+            return origin_m
+        names = {True: "coordinates of a map", False: "coordinates near the sensor"}
+        is_map = _on_map(middle_m)
+        if any(origin_m) != is_map:
+            raise DatasetError(
+                f"{path}: expected {names[not is_map]}, as the first readable cloud beside it has, got "
+                f"{names[is_map]}, about {middle_m} m: how they lie to one another is not told. Open them apart, in "
+                "folders of their own"
+            )
+        if not self.posed:
+            raise DatasetError(
+                f"{path}: expected clouds within 10 km of {origin_m} m, the origin of all clouds beside it, got one "
+                f"about {middle_m} m. Open it apart, in a folder of its own"
+            )
+        return middle_m
+
+    def world_T_frame(self, path: Path) -> Float64[np.ndarray, "4 4"] | None:
+        """Where a cloud's frame stands from that of the first, shape (4, 4); None where all share one origin."""
+        if not self.maps or not self.far:
+            return None
+        pose, origin_m = np.eye(4), self.settings.origin_m
+        if path in self.far and origin_m is not None:
+            pose[:3, 3] = np.subtract(self.far[path], origin_m)
+        return pose
+
+    @cached_property
+    def _decided(self) -> tuple[CloudSettings, tuple[str, ...]]:
+        """The settings, and the notes on them.
+
+        The first cloud of a map that can be read decides the origin of all, whichever is opened first: a drive stays
+        in one piece.
+        """
+        samples: dict[Path, Columns | Shaped[np.ndarray, "n c"]] = {}
+        sentences: list[str] = []
+        origin_m: Origin | None = None
         for path in self.samples:
-            with suppress(FarfieldError, OSError):
-                columns = read_columns(path, bin_columns=self.bin_columns)
-                samples[path] = points_of(path, columns) if isinstance(columns, np.ndarray) else columns
+            with suppress(*_UNREADABLE):
+                if path.suffix.lower() not in MAP_SUFFIXES:
+                    columns = read_columns(path, bin_columns=self.bin_columns)
+                    samples[path] = points_of(path, columns) if isinstance(columns, np.ndarray) else columns
+                    continue
+                cloud = read_las(path)
+                own_m, words = origin_of(path, cloud)
+                words = words if origin_m is None else cloud.remarks
+                has_unit = self.point_times in UNITS_NS  # what gps_time counts in: then nothing is left as it is
+                sentences += [sentence for sentence in words if not (has_unit and "gps_time" in sentence)]
+                origin_m = own_m if origin_m is None else origin_m
+                is_near = np.linalg.norm(np.subtract(own_m, origin_m)) <= NEAREST_M
+                samples[path] = less_origin(cloud.columns, origin_m if is_near else own_m)
         rows = [rows for rows in samples.values() if isinstance(rows, np.ndarray)]
         counts = {part.shape[1] for part in rows}
         row_names = {count: names_of(np.concatenate([p for p in rows if p.shape[1] == count])) for count in counts}
@@ -91,13 +193,15 @@ class CloudReading:
                 name = point_time_column(named)
                 if name is not None and self.point_times == "auto":
                     units.append(PointTimeColumn(name, named[name][valid], path, None, self.period_ns).unit())
-        return CloudSettings(
+        settings = CloudSettings(
             intensity_scale=intensity_scale_of(strengths) if self.intensity_scale is None else self.intensity_scale,
             point_times=self.point_times,
             usual_unit=next((unit for unit in units if unit is not None), None),
             row_names=row_names,
             period_ns=self.period_ns,
+            origin_m=origin_m,
         )
+        return settings, tuple(sentences)
 
     @property
     def scale(self) -> float:
@@ -113,10 +217,17 @@ class CloudReading:
             stamp_ns: Its time since 1970.
 
         Raises:
-            FarfieldError: As :func:`~farfield.frame.cloud.read_cloud` does.
+            FarfieldError: As :func:`~farfield.frame.cloud.read_cloud` does, or if the cloud is not of the others' map.
         """
-        return read_cloud(path, self.settings.at(stamp_ns), bin_columns=self.bin_columns)
+        settings = self.settings.at(stamp_ns)
+        if path.suffix.lower() in MAP_SUFFIXES:
+            settings = replace(settings, origin_m=self._origin_of(path))
+        return read_cloud(path, settings, bin_columns=self.bin_columns)
 
     def loader(self, path: Path, stamp_ns: int | None = None) -> Callable[[], Cloud]:
         """What reads one cloud when it is called."""
         return partial(self, path, stamp_ns)
+
+
+def _on_map(place_m: Origin) -> bool:
+    return float(np.linalg.norm(place_m)) > NEAREST_M

@@ -8,6 +8,7 @@ from pathlib import Path
 from weakref import WeakKeyDictionary
 
 from farfield.datasets.base import Dataset
+from farfield.files.limits import open_file
 
 NONE = "?"
 """Stands for a frame that no file tells from others."""
@@ -28,8 +29,9 @@ def frame_digests(data: Dataset) -> tuple[str, ...]:
 
     They are of the files that only this frame is read from: of pictures where it has no such cloud, and of texts where
     it has no picture either. Neither names nor maps matter. Of files of more than 64 KiB four blocks of 16 KiB are
-    read. Frames that share their clouds' file, as those of a bag do, have its digest with their own names, after ``~``;
-    a frame whose files hold next to nothing has ``?``.
+    read. Frames that share their clouds' file, as those of a bag do, have its digest with their own names, after ``~``,
+    unless they are views of one measurement (:meth:`~farfield.datasets.base.Dataset.measurement`); a frame whose files
+    hold next to nothing has ``?``.
 
     Args:
         data: Frames; those in memory have ``?``.
@@ -40,7 +42,8 @@ def frame_digests(data: Dataset) -> tuple[str, ...]:
     digests = _DIGESTS_OF.setdefault(reader, {})
     lacking = [origin for origin in dict.fromkeys(data.origins) if origin not in digests]
     if lacking:
-        frames = Counter(path for index in range(len(reader)) for path in dict.fromkeys(reader.files(index)))
+        measured = {(path, reader.measurement(index)) for index in range(len(reader)) for path in reader.files(index)}
+        frames = Counter(path for path, _ in measured)
         digests |= {origin: _digest(reader.files(origin), frames, reader.frame_ids[origin]) for origin in lacking}
     return tuple(digests[origin] for origin in data.origins)
 
@@ -89,7 +92,7 @@ def _kind(path: Path) -> int:
 def _contents(path: Path) -> str:
     """Digest of a file; empty where it holds too little to be one frame's alone."""
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with open_file(path, max_bytes=None) as file:
         if size <= _BLOCKS * _BLOCK_BYTES:
             data = file.read()
         else:

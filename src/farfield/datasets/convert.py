@@ -3,9 +3,11 @@
 import csv
 import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
@@ -13,33 +15,88 @@ import numpy as np
 from jaxtyping import Int
 
 from farfield.datasets.base import Dataset
-from farfield.datasets.cirrus import Cirrus, CirrusWriter
-from farfield.datasets.folder import Folder
-from farfield.datasets.kitti.object import KittiWriter
-from farfield.datasets.kradar.store import JOURNAL_NAME, StoreSettings, convert_to_store, verify_store
-from farfield.datasets.labels.json_labels import DatumaroLabels, OpenLabels, SustechLabels, file_name
+from farfield.datasets.cirrus import CirrusWriter
+from farfield.datasets.cirrus.writer import CIRRUS_HOLDS
+from farfield.datasets.cloud_caches import convert_to_cache
+from farfield.datasets.kitti.object import KITTI_HOLDS, KittiWriter
+from farfield.datasets.kradar.store import (
+    JOURNAL_NAME,
+    STORE_HOLDS,
+    StoreSettings,
+    convert_to_store,
+    store_losses,
+    verify_store,
+)
+from farfield.datasets.labels.json_labels import file_name
+from farfield.datasets.losses import ITEMS, Capacity, Loss, frame_losses, named_losses
+from farfield.datasets.nuscenes.writer import NUSCENES_HOLDS, T4_HOLDS, SchemaExport
+from farfield.datasets.openpcdet import OPENPCDET_HOLDS, OpenPcdetWriter
 from farfield.datasets.splits import SPLIT_SHARES
-from farfield.errors import ConfigError, DatasetError
+from farfield.datasets.tool_export import (
+    CVAT_HOLDS,
+    OPENLABEL_HOLDS,
+    SUSTECHPOINTS_HOLDS,
+    AnnotationTool,
+    BoxSource,
+    ToolExport,
+    boxes_of,
+    cloud_bytes,
+    spread,
+    views,
+)
+from farfield.errors import ConfigError, DatasetError, FarfieldError
 from farfield.files.atomic import write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.files.coordinates import camera_words, write_coordinates
-from farfield.files.cuboids import Cuboid
-from farfield.files.datumaro import format_datumaro
-from farfield.files.images import write_image
-from farfield.files.openlabel import format_openlabel
-from farfield.files.pcd import write_pcd
-from farfield.files.sustechpoints import format_calibration, format_sustechpoints
-from farfield.frame import Boxes, Cloud, Frame, Key
-from farfield.frame.cloud import CACHE_FOLDER, cache_path, is_fresh, write_rows_cache, xyz_columns
+from farfield.files.outputs import check_outputs
+from farfield.files.stamps import name_time_ns
+from farfield.frame import Boxes, Frame, Key
 from farfield.jobs import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
-from farfield.jobs.folders import locked, sweep_out
+from farfield.jobs.folders import held
 
-Target = Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"]
-AnnotationTool = Literal["openlabel", "sustechpoints", "cvat"]
-BoxSource = Literal["boxes", "full_boxes"]
+Target = Literal[
+    "kitti",
+    "openpcdet",
+    "cirrus",
+    "boxes-csv",
+    "openlabel",
+    "sustechpoints",
+    "cvat",
+    "nuscenes",
+    "t4",
+    "cache",
+    "radar-store",
+]
 TARGETS: tuple[str, ...] = get_args(Target)
+BOXES_CSV_HOLDS = Capacity(
+    title="boxes as CSV",
+    holds=frozenset({"names", "tracks", "velocities", "scores", "point counts"}),
+    one_cloud=False,
+    reasons={
+        **dict.fromkeys(("clouds", "images", "cameras", "radar"), "boxes alone are written"),
+        "empty frames": "a row is a box",
+    },
+)
+CACHE_HOLDS = Capacity(title="a cache", holds=frozenset(ITEMS))
+CAPACITIES: Mapping[str, Capacity] = {
+    "kitti": KITTI_HOLDS,
+    "openpcdet": OPENPCDET_HOLDS,
+    "cirrus": CIRRUS_HOLDS,
+    "boxes-csv": BOXES_CSV_HOLDS,
+    "openlabel": OPENLABEL_HOLDS,
+    "sustechpoints": SUSTECHPOINTS_HOLDS,
+    "cvat": CVAT_HOLDS,
+    "nuscenes": NUSCENES_HOLDS,
+    "t4": T4_HOLDS,
+    "cache": CACHE_HOLDS,
+    "radar-store": STORE_HOLDS,
+}
+"""What each target of :func:`convert` holds."""
+LOSSES_NAME = ".farfield_losses.jsonl"
+"""The record of what a conversion lost, beside its journal: one line a loss."""
 _FIRST_NS = 1_600_000_000_000_000_000  # times for frames that have none: 0.1 s apart, sequences 10 s
 _PAUSE_NS = 10_000_000_000
+_APART_NS = 1_000_000_000  # readers begin a new drive after a longer pause
 
 
 def convert(
@@ -52,19 +109,21 @@ def convert(
     overwrite: bool = False,
     store: StoreSettings | None = None,
     bulk: JobOptions = HERE,
+    announce: Callable[[Loss], None] | None = None,
 ) -> Outcome:
     """Convert a data set. What was written before from unchanged sources, and is intact, is skipped.
 
     Args:
         dataset: The source.
         target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
-        to: ``"kitti"``, ``"cirrus"``, ``"boxes-csv"``, ``"openlabel"``, ``"sustechpoints"``, ``"cvat"``, ``"cache"``
-            or, of K-Radar, ``"radar-store"``.
+        to: ``"kitti"``, ``"openpcdet"``, ``"cirrus"``, ``"boxes-csv"``, ``"openlabel"``, ``"sustechpoints"``,
+            ``"cvat"``, ``"nuscenes"``, ``"t4"``, ``"cache"`` or, of K-Radar, ``"radar-store"``.
         boxes: Which boxes to label: the frame's own or its annotation's ``full_boxes``.
         cloud: Which cloud is written (KITTI's velodyne, Cirrus's Gaussian files...); None takes the first.
         overwrite: Write everything anew.
         store: What a radar store keeps.
         bulk: How: workers, engine, progress.
+        announce: Is told each loss of :func:`losses` before anything is written.
 
     Returns:
         How many units (frames, sequences or clouds) were written, and how many stood there intact.
@@ -77,25 +136,81 @@ def convert(
     if to == "cache":
         if target is not None and Path(target).resolve() != dataset.root.resolve():
             raise ConfigError("convert: a cache stands beside its source; leave the target out with to='cache'")
-        return _to_cache(dataset, overwrite, bulk)
+        return convert_to_cache(dataset, overwrite, bulk)
     if target is None:
         raise ConfigError(f"convert: expected a target folder with to={to!r}, got none")
     target = Path(target)
-    check_apart(target, dataset)
+    check_apart(target, dataset, beside=True)
+    lost = losses(dataset, to, boxes=boxes, cloud=cloud, store=store)
+    if announce is not None:
+        for loss in lost:
+            announce(loss)
     if to == "radar-store":
-        return convert_to_store(_kradar(dataset), target, store, overwrite=overwrite, bulk=bulk)
+        outcome = convert_to_store(_kradar(dataset), target, store, overwrite=overwrite, bulk=bulk)
+        _record(target, lost)
+        return outcome
     if to != "boxes-csv" or target.suffix != ".csv":
         check_file_names(dataset, to)
+    _check_clouds(dataset, to)
     if to == "boxes-csv" and target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
-        target.parent.mkdir(parents=True, exist_ok=True)
         unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
-        return run(_ToCsv(dataset, target.parent, boxes), [unit], bulk)
+        with held(target, file=True):
+            return run(_ToCsv(dataset, target.parent, boxes), [unit], bulk)
+    numbered = to in ("kitti", "openpcdet")
+    image_sets = _image_sets(dataset) if numbered else {}  # reads the lists before the work
     work = _work(dataset, target, to, boxes, cloud)
-    journal = JobJournal(target / JOURNAL_NAME, work.setting, overwrite=overwrite)
-    outcome = run(work, work.units(), bulk, journal=journal)
-    if to == "kitti":
-        _finish_kitti(dataset, target)
+    with held(target):
+        journal = JobJournal(target / JOURNAL_NAME, work.setting, overwrite=overwrite)
+        outcome = run(work, work.units(), bulk, journal=journal)
+        _record(target, lost)
+        if numbered:
+            _finish_numbered(dataset, target, image_sets)
+        if to == "kitti":
+            _finish_kitti(dataset, target)
+        if isinstance(work, SchemaExport):
+            work.finish()
     return outcome
+
+
+def losses(
+    dataset: Dataset,
+    to: Target,
+    *,
+    boxes: BoxSource = "boxes",
+    cloud: str | None = None,
+    store: StoreSettings | None = None,
+) -> tuple[Loss, ...]:
+    """What a conversion would lose, by up to five frames that are spread over the set; nothing is written.
+
+    Args:
+        dataset: The source; its maps count.
+        to: As of :func:`convert`, and so the others.
+        boxes: Which boxes are labelled.
+        cloud: Which cloud is written.
+        store: What a radar store keeps.
+
+    Returns:
+        A line for each kind of thing that the frames have and the target's files do not hold; of frames that cannot be
+        read none, which the conversion says.
+    """
+    if to == "radar-store":
+        return store_losses(store or StoreSettings())
+    lost, times_ns = [], _times(dataset) if to == "cirrus" else None
+    for index in spread(dataset) if to != "cache" else ():
+        with suppress(FarfieldError):  # said where the frame is converted
+            frame = dataset[index]
+            time_ns = frame.time_ns if times_ns is None else times_ns[index]
+            lost.append(frame_losses(frame, CAPACITIES[to], cloud=cloud, boxes=boxes, time_ns=time_ns))
+    named = named_losses(lost, CAPACITIES[to])
+    if to == "nuscenes" or to == "t4":
+        return (*named, *SchemaExport(dataset=dataset, target=dataset.root, boxes=boxes, to=to).left_out())
+    return named
+
+
+def _record(target: Path, lost: Iterable[Loss]) -> None:
+    """Keep what was lost beside the journal."""
+    rows = ({"item": loss.item, "names": list(loss.names), "text": str(loss)} for loss in lost)
+    write_text(target / LOSSES_NAME, "".join(json.dumps(row) + "\n" for row in rows))
 
 
 def verify(
@@ -133,25 +248,47 @@ def verify(
     return faults(work.units(), JobJournal(target / JOURNAL_NAME, work.setting))
 
 
-def check_apart(target: Path, data: Dataset) -> None:
+def check_apart(target: Path, data: Dataset, *, beside: bool = False) -> None:
     """Refuse to write over what is read: the data's folder, or one of its files.
 
     Args:
         target: What is going to be written.
         data: What is read; of many frames the files of a hundred are looked at, spread evenly.
+        beside: Whether it must not stand within the data's folder, nor around it.
 
     Raises:
         ConfigError: If they meet.
     """
     path = target.resolve()
-    if data.stored and path == data.root.resolve():
-        raise ConfigError(f"{target}: expected a folder beside the data, got their own: they would be written over")
+    if data.stored:
+        as_file = {"target": target} if target.suffix and not target.is_dir() else {}
+        check_outputs((data.root,), files=as_file, folders={} if as_file else {"target": target}, apart=beside)
     sample = range(0, len(data), max(1, len(data) // 100))
     sources = {Path(file).resolve() for index in sample for file in data.files(index)}
     if path in sources or (not target.suffix and path in {file.parent for file in sources}):
         raise ConfigError(
             f"{target}: expected another name, got that of data which are read: they would be written over"
         )
+
+
+def _check_clouds(dataset: Dataset, to: Target) -> None:
+    """Refuse labels alone where the target holds clouds.
+
+    Raises:
+        DatasetError: If none of some frames has a cloud.
+    """
+    if not CAPACITIES[to].one_cloud or not len(dataset):
+        return
+    for index in spread(dataset):
+        try:
+            if dataset[index].clouds:
+                return
+        except FarfieldError:  # said where the frame is converted
+            return
+    raise DatasetError(
+        f"{dataset.root}: expected clouds, which {CAPACITIES[to].title} hold, got labels alone. Write them with "
+        "--to boxes-csv or --to openlabel"
+    )
 
 
 def check_file_names(dataset: Dataset, to: str) -> None:
@@ -164,7 +301,7 @@ def check_file_names(dataset: Dataset, to: str) -> None:
     Raises:
         DatasetError: If two names would share one.
     """
-    if to not in ("boxes-csv", *get_args(AnnotationTool)):
+    if to not in ("boxes-csv", "nuscenes", "t4", *get_args(AnnotationTool)):
         return
     names: list[tuple[str, ...]] = [(sequence,) for sequence in dict.fromkeys(dataset.sequences)]
     names += list(dict.fromkeys(dataset.keys)) if to in ("sustechpoints", "cvat") else []
@@ -187,72 +324,22 @@ def _kradar(dataset: Dataset) -> Dataset:
 
 def _work(
     dataset: Dataset, target: Path, to: str, boxes: BoxSource, cloud: str | None
-) -> "_ToKitti | _ToCirrus | _ToCsv | ToolExport":
-    if to == "kitti":
-        return _ToKitti(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
+) -> "_ToKitti | _ToCirrus | _ToCsv | ToolExport | SchemaExport":
+    if to in ("kitti", "openpcdet"):
+        numbered = _ToKitti if to == "kitti" else _ToOpenPcdet
+        return numbered(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
     if to == "cirrus":
         return _ToCirrus(dataset=dataset, target=target, boxes=boxes, cloud=cloud)
     if to == "boxes-csv" and target.suffix != ".csv":
         return _ToCsv(dataset, target, boxes)
+    if to == "nuscenes" or to == "t4":
+        return SchemaExport(dataset=dataset, target=target, boxes=boxes, to="nuscenes" if to == "nuscenes" else "t4")
     tool: AnnotationTool
     for tool in get_args(AnnotationTool):
         if to == tool:
             return ToolExport(dataset=dataset, target=target, to=tool, boxes=boxes, cloud=cloud)
     expected = f"expected to to be one of {', '.join(TARGETS)}"
     raise ConfigError(f"convert: {expected}, a folder where it is verified; got {to!r} and {target}")
-
-
-def _to_cache(dataset: Dataset, overwrite: bool, bulk: JobOptions) -> Outcome:
-    reader = dataset.unwrapped
-    if isinstance(reader, Cirrus):
-        columns, delimiter = reader.mapping.xyz.columns, reader.mapping.xyz.delimiter
-        sources: list[tuple[Path, Path, int | None]] = [
-            (getattr(entry, pattern), entry.part.root, len(getattr(columns, pattern)))
-            for entry in (reader.entries[index] for index in dataset.origins)
-            for pattern in ("gaussian", "uniform")
-            if getattr(entry, pattern) is not None
-        ]
-    elif isinstance(reader, Folder):
-        clouds = (reader.clouds[index] for index in dataset.origins)
-        sources = [(path, dataset.root, xyz_columns(path)) for path in clouds if path.suffix.lower() == ".xyz"]
-        delimiter = "auto"
-    else:
-        sources = []
-        delimiter = "auto"
-    if not sources:
-        raise DatasetError(f"{dataset.root}: expected ASCII clouds (.xyz) to cache; the clouds are binary already")
-    sources = list(dict.fromkeys(sources))
-    missing = [source for source in sources if overwrite or not is_fresh(cache_path(source[0], source[1]), source[0])]
-    folders = {root / CACHE_FOLDER for _, root, _ in missing}
-    _sweep(folders)
-    units = [Unit(str(source), (source,), (root, count)) for source, root, count in missing]
-    try:
-        outcome = run(_CloudCache(delimiter), units, bulk)
-    finally:
-        _sweep(folders)  # a worker that was killed left what it was at
-    return Outcome(written=outcome.written, skipped=len(sources) - outcome.written)
-
-
-def _sweep(folders: Iterable[Path]) -> None:
-    for folder in folders:
-        if folder.is_dir():
-            sweep_out(folder)
-
-
-@dataclass(frozen=True)
-class _CloudCache:
-    """Writes the cache of one cloud."""
-
-    delimiter: str
-
-    def __call__(self, unit: Unit) -> UnitResult:
-        root, count = unit.parameters
-        columns = None if count in (5, 8) else count
-        folder = root / CACHE_FOLDER
-        folder.mkdir(exist_ok=True)
-        with locked(folder, shared=True):  # or another command would sweep out what is being written
-            path = write_rows_cache(unit.sources[0], root, columns=columns, delimiter=self.delimiter)
-        return UnitResult(files=(path,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,6 +359,11 @@ class _FrameConversion:
     cloud: str | None
     to: ClassVar[str]
     memory_bytes = 500_000_000
+
+    @cached_property
+    def disk_bytes(self) -> float:
+        """What a frame takes on the disk at least: its points."""
+        return cloud_bytes(self.dataset, self.cloud)
 
     def units(self) -> list[Unit]:
         """One a frame."""
@@ -307,28 +399,45 @@ def _occlusion(frame: Frame) -> Int[np.ndarray, " n"] | None:
     return np.where((values >= 0) & (values < 3), values, 3)
 
 
-def _finish_kitti(dataset: Dataset, target: Path) -> None:
-    """Write what belongs to all frames."""
+class _ToOpenPcdet(_ToKitti):
+    to = "openpcdet"
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        frame = self.dataset[unit.parameters]
+        boxes = boxes_of(frame, self.boxes)
+        paths = OpenPcdetWriter(self.target).write(unit.parameters, frame, cloud=self.cloud, boxes=boxes)
+        return UnitResult(files=tuple(paths.values()))
+
+
+def _finish_numbered(dataset: Dataset, target: Path, image_sets: Mapping[str, str]) -> None:
+    """Write which frame a number is of, and the lists of the parts."""
     table = io.StringIO()
     rows = ((f"{index:06d}", *key) for index, key in enumerate(dataset.keys))
     csv.writer(table, lineterminator="\n").writerows([("number", "sequence", "frame"), *rows])
     write_text(target / "frames.csv", table.getvalue())
+    for name, text in image_sets.items():
+        (target / "ImageSets").mkdir(exist_ok=True)
+        write_text(target / "ImageSets" / f"{name}.txt", text)
+
+
+def _finish_kitti(dataset: Dataset, target: Path) -> None:
+    """Say in which axes the labels stand."""
     first = dataset[0]
     named = next((name for name in first.cameras if name in first.images), next(iter(first.cameras), ""))
     write_coordinates(target / "training" / "label_2", camera_words(named, first.reference))
-    _write_image_sets(dataset, target)
 
 
-def _write_image_sets(dataset: Dataset, target: Path) -> None:
-    """Carry the split over as KITTI's usual lists: the parts a file names, else those of three or more sequences."""
+def _image_sets(dataset: Dataset) -> dict[str, str]:
+    """The split as KITTI's usual lists: the parts a file names, else those of three or more sequences."""
     named = dataset.split_parts()
     if not named and len(set(dataset.split_units())) < len(SPLIT_SHARES):
-        return
+        return {}
     number = {key: index for index, key in enumerate(dataset.keys)}
-    (target / "ImageSets").mkdir(exist_ok=True)
-    for name in (part for part in SPLIT_SHARES if part in (named or SPLIT_SHARES)):
-        rows = [f"{number[key]:06d}\n" for key in dataset.split(name).keys]
-        write_text(target / "ImageSets" / f"{name}.txt", "".join(rows))
+    return {
+        part: "".join(f"{number[key]:06d}\n" for key in dataset.split(part).keys)
+        for part in SPLIT_SHARES
+        if part in (named or SPLIT_SHARES)
+    }
 
 
 class _ToCirrus(_FrameConversion):
@@ -338,17 +447,40 @@ class _ToCirrus(_FrameConversion):
     def times(self) -> list[int]:
         return _times(self.dataset)
 
+    @property
+    def setting(self) -> str:
+        """What decides the files besides their sources."""
+        return super().setting + (" own times" if self.times == _own_times(self.dataset) else "")
+
     def __call__(self, unit: Unit) -> UnitResult:
         frame = _as_cirrus(self.dataset[unit.parameters], self.times[unit.parameters], self.cloud)
         return UnitResult(files=tuple(CirrusWriter(self.target).write(frame, box_label_source=self.boxes).values()))
 
 
 def _times(dataset: Dataset) -> list[int]:
-    """A time for every frame: its name where that is one, else made up with a pause between sequences."""
-    if all(name.isdigit() and 16 <= len(name) <= 19 for name in dataset.frame_ids):
-        return [int(name) for name in dataset.frame_ids]
+    """A time for every frame: its name where that is one, its own, else made up with a pause between sequences."""
+    times_ns = [time_ns for name in dataset.frame_ids if (time_ns := name_time_ns(name)) is not None]
+    if len(times_ns) == len(dataset):
+        return times_ns
+    if own := _own_times(dataset):
+        return own
     order = {name: position for position, name in enumerate(dict.fromkeys(dataset.sequences))}
     return [_FIRST_NS + index * 100_000_000 + order[name] * _PAUSE_NS for index, name in enumerate(dataset.sequences)]
+
+
+def _own_times(dataset: Dataset) -> list[int]:
+    """The drives' times; empty where one is not known, cannot name a file, or drives do not lie apart in time."""
+    times_ns = np.full(len(dataset), -1, dtype=np.int64)
+    spans = []
+    for drive in dataset.drives():
+        if drive.times_ns is None or not len(drive.times_ns):
+            return []
+        times_ns[drive.indices] = drive.times_ns
+        spans.append((int(drive.times_ns.min()), int(drive.times_ns.max())))
+    listed: list[int] = times_ns.tolist()
+    apart = all(after[0] - before[1] > _APART_NS for before, after in pairwise(sorted(spans)))
+    named = all(name_time_ns(str(time_ns)) == time_ns for time_ns in listed)
+    return listed if apart and named and len(set(listed)) == len(listed) else []
 
 
 def _as_cirrus(frame: Frame, time_ns: int, cloud: str | None) -> Frame:
@@ -431,133 +563,3 @@ def box_rows(frames: Iterable[tuple[Key, Boxes | None]], *, reference: str = "")
         velocity_m_s=together.velocity_m_s,
         reference=np.full(len(together), reference) if reference else None,
     )
-
-
-# Data sets as annotation tools take them: SUSTechPOINTS, CVAT (Datumaro), and OpenLABEL's boxes alone.
-
-
-def views(dataset: Dataset) -> str:
-    """What else decides how a data set is seen: its reader's options and its maps; empty where there are none."""
-    recipe = {name: dataset.recipe.get(name) for name in ("options", "maps")}
-    return f" {json.dumps(recipe, sort_keys=True, default=str)}" if any(recipe.values()) else ""
-
-
-def boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
-    """The boxes to label: the frame's own, or its annotation's ``full_boxes``.
-
-    Raises:
-        DatasetError: If the whole bodies are wanted and not known.
-    """
-    if source == "boxes" or frame.annotation is None:
-        return frame.boxes
-    if frame.annotation.full_boxes is None:
-        raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which boxes='full_boxes' takes")
-    return frame.annotation.full_boxes
-
-
-def cuboids_of(boxes: Boxes | None, frame: str) -> list[Cuboid]:
-    """Boxes as tools exchange them; the classes keep our names."""
-    if boxes is None or not len(boxes):
-        return []
-    rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
-    tracks = [-1] * len(boxes) if boxes.track_id is None else boxes.track_id.tolist()
-    return [
-        Cuboid(frame=frame, label=str(label), box=tuple(row), track="" if track < 0 else str(track))
-        for label, row, track in zip(np.asarray(boxes.label).tolist(), rows, tracks, strict=True)
-    ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ToolExport:
-    """Writes sequences of a data set for an annotation tool; a unit's parameters are the frames' indices.
-
-    SUSTechPOINTS gets scenes with clouds (PCD), images, calibration and labels; CVAT clouds below ``point_clouds`` and
-    one Datumaro file a sequence; OpenLABEL one file a sequence.
-
-    Args:
-        dataset: The frames.
-        target: Folder to write into.
-        to: The tool.
-        boxes: Which boxes to label.
-        cloud: Which cloud to write; None takes the first.
-    """
-
-    dataset: Dataset
-    target: Path
-    to: AnnotationTool
-    boxes: BoxSource
-    cloud: str | None
-    memory_bytes = 500_000_000
-
-    @property
-    def setting(self) -> str:
-        """What decides the files besides their sources."""
-        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}{views(self.dataset)}"
-
-    def units(self) -> list[Unit]:
-        """One a sequence; for SUSTechPOINTS, whose files are of one frame each, one a frame."""
-        files = self.dataset.files
-        if self.to == "sustechpoints":
-            keys = enumerate(self.dataset.keys)
-            return [Unit("/".join(key), tuple(files(index)), (index,)) for index, key in keys]
-        groups: dict[str, list[int]] = {}
-        for index, sequence in enumerate(self.dataset.sequences):
-            groups.setdefault(sequence, []).append(index)
-        return [
-            Unit(name, tuple(dict.fromkeys(file for index in indices for file in files(index))), tuple(indices))
-            for name, indices in groups.items()
-        ]
-
-    def __call__(self, unit: Unit) -> UnitResult:
-        """Write one unit."""
-        frames = [self.dataset.frame(index) for index in unit.parameters]
-        if self.to == "sustechpoints":
-            return UnitResult(files=tuple(path for frame in frames for path in self._scene_frame(frame)))
-        names = [frame.frame_id if self.to == "openlabel" else file_name(frame.frame_id) for frame in frames]
-        cuboids = [
-            cuboid
-            for frame, name in zip(frames, names, strict=True)
-            for cuboid in cuboids_of(boxes_of(frame, self.boxes), name)
-        ]
-        if self.to == "openlabel":
-            text = format_openlabel(cuboids, names, [frame.time_ns for frame in frames], system=frames[0].reference)
-            return UnitResult(files=(_written(OpenLabels(self.target).path(frames[0].key), text),))
-        path = _written(DatumaroLabels(self.target).path(frames[0].key), format_datumaro(cuboids, names))
-        return UnitResult(files=(path, *self._clouds(frames, path.parents[1] / "point_clouds", names)))
-
-    def _clouds(self, frames: Sequence[Frame], folder: Path, names: Sequence[str]) -> Iterable[Path]:
-        for frame, name in zip(frames, names, strict=True):
-            yield write_cloud(folder / f"{name}.pcd", frame.cloud(self.cloud))
-
-    def _scene_frame(self, frame: Frame) -> list[Path]:
-        label = SustechLabels(self.target).path(frame.key)
-        scene, stem = label.parents[1], label.stem
-        paths = [write_cloud(scene / "lidar" / f"{stem}.pcd", frame.cloud(self.cloud))]
-        for name, camera in frame.cameras.items():
-            if name in frame.images:
-                path = scene / "camera" / file_name(name) / f"{stem}.jpg"
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_image(path, frame.images[name])
-                calibration = format_calibration(camera.camera_T_lidar, camera.matrix)
-                paths += [path, _written(scene / "calib" / "camera" / f"{file_name(name)}.json", calibration)]
-        boxes = boxes_of(frame, self.boxes)
-        if boxes is not None:
-            paths.append(_written(label, format_sustechpoints(cuboids_of(boxes, stem))))
-        label.parent.mkdir(parents=True, exist_ok=True)
-        return paths
-
-
-def write_cloud(path: Path, cloud: Cloud) -> Path:
-    """Write a cloud as binary PCD with x, y, z and, where there is one, intensity."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fields = {axis: column.astype(np.float32) for axis, column in zip("xyz", cloud.points_m.T, strict=True)}
-    if cloud.intensity is not None:
-        fields["intensity"] = cloud.intensity.astype(np.float32)
-    write_pcd(path, fields)
-    return path
-
-
-def _written(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, text)
-    return path

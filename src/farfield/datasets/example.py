@@ -13,6 +13,7 @@ from farfield.errors import ConfigError
 from farfield.files.atomic import open_atomic, write_text
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
 from farfield.geometry.boxes import Boxes
+from farfield.jobs.folders import held
 
 FRAMES = 4
 _STEP_S = 0.1
@@ -47,9 +48,19 @@ def write_example(folder: Path | str, *, seed: int = 0) -> list[Path]:
         ConfigError: If something stands there already.
     """
     folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.exists() and not (folder.is_dir() and _is_unfinished(folder)):
         raise ConfigError(f"{folder}: expected a new or empty folder, since nothing is written over; name another")
-    folder.mkdir(parents=True, exist_ok=True)
+    with held(folder):
+        return _write(folder, seed)
+
+
+def _is_unfinished(folder: Path) -> bool:
+    """Whether a folder holds nothing but what a killed command wrote of this example, whose last file is missing."""
+    names = {path.name for path in folder.iterdir() if not path.name.endswith(".part")}
+    return names <= {*_OTHERS[:-1], *(f"{number:04d}.npy" for number in range(FRAMES))}
+
+
+def _write(folder: Path, seed: int) -> list[Path]:
     rng = np.random.default_rng(seed)
     frames = {f"{number:04d}": _boxes(number * _STEP_S) for number in range(FRAMES)}
     for stem, boxes in frames.items():

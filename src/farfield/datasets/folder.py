@@ -1,6 +1,8 @@
 """One's own clouds in one folder, with boxes in small JSON files beside them.
 
-Clouds: ``.pcd``, ``.bin`` (KITTI velodyne), ``.npy`` (rows), ``.xyz``, ``.ffcloud``; x forward, y left, z up, metres.
+Clouds: ``.pcd``, ``.ply``, ``.bin`` (KITTI velodyne), ``.npy``, ``.npz``, ``.xyz``, ``.las``, ``.laz``, ``.ffcloud``; x
+forward, y left, z up, metres. Coordinates of a map in LAS or LAZ lose an origin, which is said; tiles more than 10 km
+from it lose one of their own, and the frames' poses say where they stand.
 Boxes: ``<stem>.json`` beside the cloud or in ``boxes/`` or ``labels/``::
 
     {"boxes": [{"label": "vehicle", "centre_m": [x, y, z], "size_m": [l, w, h], "yaw_rad": 0.1,
@@ -14,53 +16,69 @@ renames classes: ``classes: {Auto: vehicle}``; without a line there, usual names
 """
 
 import json
-import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from farfield.datasets.base import Dataset, Indices, all_known
+from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
 from farfield.datasets.calibration import CALIBRATION_NAMES, usable_cameras
 from farfield.datasets.class_mapping import MAPPING_NAME, read_class_mapping, renamed, usual
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.errors import DatasetError, FileFormatError, plain
-from farfield.files.atomic import read_bytes, write_text
-from farfield.files.boxes_csv import read_boxes_csv, zeros_note
-from farfield.files.cuboids import check_yaw
+from farfield.files.atomic import read_bytes, readable, write_text
+from farfield.files.boxes_csv import BoxRows, read_boxes_csv, zeros_note
+from farfield.files.cuboids import check_yaw, is_name
 from farfield.files.images import read_image
-from farfield.files.json_text import parse_json
+from farfield.files.json_text import parse_json, plain_json
+from farfield.files.limits import MAX_NAME
 from farfield.files.point_times import PointTimes
+from farfield.files.stamps import name_time_ns
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
+from farfield.vocabulary.counts import count_of
 
 TABLE_NAME = "labels.csv"
 _BOX_FOLDERS = ("", "boxes", "labels")
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _MAX_BYTES = 64 << 20
-_STAMP, _MICROSECOND_DIGITS = re.compile(r"\d{16,19}"), 16
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-_Coordinate = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
-_Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
-_Angle = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
+
+def _number(value: Any) -> Any:
+    """A number as it stands: neither a text nor true or false, which would do as well."""
+    if isinstance(value, bool | str):
+        raise ValueError(f"expected a number, got {value!r}"[:80])
+    return value
+
+
+def _name(value: str) -> str:
+    if not is_name(value):
+        raise ValueError(f"expected a name on one line, got {value!r}"[:80])
+    return value
+
+
+_Finite = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
+_Coordinate = Annotated[float, BeforeValidator(_number), Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
+_Positive = Annotated[float, BeforeValidator(_number), Field(gt=0, le=1e6, allow_inf_nan=False)]
+_Angle = Annotated[float, BeforeValidator(_number), Field(ge=-1e3, le=1e3, allow_inf_nan=False)]
+_Track = Annotated[int, BeforeValidator(_number), Field(ge=-1, lt=1 << 53)]
 
 
 class _BoxEntry(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
-    label: Annotated[str, Field(pattern=r"\S")]
+    label: Annotated[str, Field(max_length=MAX_NAME), AfterValidator(_name)]
     centre_m: tuple[_Coordinate, _Coordinate, _Coordinate]
     size_m: tuple[_Positive, _Positive, _Positive]
     yaw_rad: _Angle
     score: _Finite | None = None
-    track_id: Annotated[int, Field(ge=-1, lt=1 << 53)] | None = None
+    track_id: _Track | None = None
     velocity_m_s: tuple[_Finite, _Finite] | tuple[_Finite, _Finite, _Finite] | None = None
 
 
@@ -110,8 +128,8 @@ def _refuse_labelcloud(path: Path | str, data: bytes) -> None:
         FileFormatError: If it is such a file.
     """
     try:
-        tree = json.loads(data)
-    except (ValueError, RecursionError):
+        tree = plain_json(data)
+    except ValueError:
         return
     objects = tree.get("objects") if isinstance(tree, dict) else None
     entries = objects if isinstance(objects, list) else []
@@ -160,13 +178,6 @@ def write_boxes(path: Path | str, boxes: Boxes) -> None:
     write_text(path, json.dumps({"boxes": entries}, indent=1) + "\n")
 
 
-def _time_ns(stem: str) -> int | None:
-    """A name of 17 to 19 digits in nanoseconds, of 16 in microseconds: no sweep is of January 1970."""
-    if not _STAMP.fullmatch(stem):
-        return None
-    return int(stem) * (1000 if len(stem) == _MICROSECOND_DIGITS else 1)
-
-
 def _read_annotation(path: Path, classes: Mapping[str, str]) -> Annotation:
     return renamed(usual(Annotation(boxes=read_boxes(path))), classes)
 
@@ -184,10 +195,31 @@ def cloud_files(root: Path) -> list[Path]:
     if broken:
         raise DatasetError(
             f"{broken[0]}: expected a cloud, found a link to {broken[0].readlink()}, which is not there or leads in a "
-            f"circle ({len(broken)} of {len(named)} clouds are such links). Copy what it stands for, or, in a "
+            f"circle ({len(broken)} of {count_of(len(named), 'cloud')} are "
+            "such links). Copy what it stands for, or, in a "
             "repository of git-annex: git annex get ."
         )
     return [path for path in named if path.is_file()]
+
+
+def boxes_of_table(rows: BoxRows, path: Path) -> Boxes:
+    """The boxes of a table's rows.
+
+    Raises:
+        FileFormatError: If a heading is no angle in radians.
+    """
+    for row, yaw_rad in enumerate(rows.yaw_rad.tolist()):
+        check_yaw(yaw_rad, path, f"box {row + 1}")
+    return Boxes(
+        centre_m=rows.centre_m,
+        size_m=rows.size_m,
+        yaw_rad=rows.yaw_rad,
+        label=rows.label,
+        score=rows.score,
+        track_id=rows.track_id,
+        point_count=rows.point_count,
+        velocity_m_s=rows.velocity_m_s,
+    )
 
 
 def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
@@ -202,18 +234,7 @@ def read_table(path: Path, sequence: str) -> dict[str, Boxes]:
         FileFormatError: If it is no such table.
     """
     rows = read_boxes_csv(path)
-    for row, yaw_rad in enumerate(rows.yaw_rad.tolist()):
-        check_yaw(yaw_rad, path, f"box {row + 1}")
-    boxes = Boxes(
-        centre_m=rows.centre_m,
-        size_m=rows.size_m,
-        yaw_rad=rows.yaw_rad,
-        label=rows.label,
-        score=rows.score,
-        track_id=rows.track_id,
-        point_count=rows.point_count,
-        velocity_m_s=rows.velocity_m_s,
-    )
+    boxes = boxes_of_table(rows, path)
     here = np.full(len(rows), True) if rows.sequence is None else rows.sequence == sequence
     if rows.sequence is not None and len(rows) and not here.any():
         there = ", ".join(map(repr, dict.fromkeys(rows.sequence.tolist())))[:120]
@@ -262,8 +283,8 @@ class Folder(Dataset):
         self.clouds = cloud_files(self.root)
         if not self.clouds:
             raise DatasetError(f"{self.root}: expected clouds with suffix {', '.join(CLOUD_SUFFIXES)}; found none")
-        self.frame_ids = tuple(path.stem for path in self.clouds)
-        self.sequences = (self.root.resolve().name,) * len(self.clouds)
+        self.frame_ids = tuple(readable(path.stem) for path in self.clouds)
+        self.sequences = (readable(self.root.resolve().name),) * len(self.clouds)
         double = next((stem for stem, count in Counter(self.frame_ids).items() if count > 1), None)
         if double is not None:
             raise DatasetError(f"{self.root}: expected one cloud a stem, found several with stem {double!r}")
@@ -272,7 +293,8 @@ class Folder(Dataset):
             bin_columns=bin_columns,
             intensity_scale=intensity_scale,
             point_times=point_times,
-            stamps_ns=[_time_ns(stem) for stem in self.frame_ids],
+            stamps_ns=[name_time_ns(stem) for stem in self.frame_ids],
+            posed=True,
         )
         self.table_path = self.root / TABLE_NAME
         self._table = read_table(self.table_path, self.sequences[0]) if self.table_path.is_file() else {}
@@ -286,7 +308,7 @@ class Folder(Dataset):
                 f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files. "
                 f"{zeros_note(self._table, self.frame_ids)}".rstrip()
             )
-        cloud_stems, stems = set(self.frame_ids), [self._stems(folder) for folder in _BOX_FOLDERS]
+        cloud_stems, stems = {path.stem for path in self.clouds}, [self._stems(folder) for folder in _BOX_FOLDERS]
         for row, folder in enumerate(_BOX_FOLDERS):
             twice = min((cloud_stems & stems[row]).intersection(*[set().union(*stems[row + 1 :])]), default=None)
             if twice is not None:
@@ -311,12 +333,12 @@ class Folder(Dataset):
     @property
     def strays(self) -> tuple[str, ...]:
         """Annotations of frames that have no cloud: files of boxes, and frames of the table."""
-        stems = set(self.frame_ids)
+        stems = {path.stem for path in self.clouds}
         files = (f"{folder}/{stem}.json" for folder in _BOX_FOLDERS if folder for stem in self._stems(folder) - stems)
-        return (*sorted(files), *(f"{TABLE_NAME}: {name}" for name in self._table if name not in stems))
+        return (*sorted(files), *(f"{TABLE_NAME}: {name}" for name in self._table if name not in self.frame_ids))
 
     def _beside(self, index: int, folders: Sequence[str], suffixes: Sequence[str]) -> Path | None:
-        stem = self.frame_ids[index]
+        stem = self.clouds[index].stem
         candidates = (self.root / folder / f"{stem}{suffix}" for folder in folders for suffix in suffixes)
         return next((path for candidate in candidates if (path := existing(candidate))), None)
 
@@ -344,7 +366,7 @@ class Folder(Dataset):
         return self._annotation_of(index) is not None
 
     def _times_of(self, indices: Indices) -> Indices | None:
-        return all_known(_time_ns(self.frame_ids[index]) for index in indices)
+        return all_known(name_time_ns(self.frame_ids[index]) for index in indices)
 
     @property
     def calibration_file(self) -> Path | None:
@@ -361,17 +383,25 @@ class Folder(Dataset):
         """What of the calibration cannot be used."""
         return self._calibration[1]
 
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What was decided from the clouds: the origin of a map's coordinates."""
+        return self.reading.assumptions
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        return all_poses(self.reading.world_T_frame(self.clouds[int(index)]) for index in indices)
+
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""
         path, stem = self.clouds[index], self.frame_ids[index]
         image = self._beside(index, ("", "images"), _IMAGE_SUFFIXES)
         images = Lazy({} if image is None else {"camera": partial(read_image, image)})
         cameras = self._calibration[0]
-        load = self.reading.loader(path, _time_ns(stem))
+        load = self.reading.loader(path, name_time_ns(stem))
         return Frame(
             sequence=self.sequences[index],
             frame_id=stem,
-            time_ns=_time_ns(stem),
+            time_ns=name_time_ns(stem),
             clouds=Lazy({"lidar": load}),
             images=images,
             cameras=cameras,
@@ -379,6 +409,7 @@ class Folder(Dataset):
                 "lidar": Sensor(kind="lidar"),
                 **{name: camera_sensor(cameras.get(name)) for name in dict.fromkeys([*images, *cameras])},
             },
+            world_T_frame=self.reading.world_T_frame(path),
             load_annotation=self._annotation_of(index),
             metadata={"files": [str(file) for file in self.files(index)]},
         )

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 
-from farfield.files.yaml_text import PlainLoader
+from farfield.files.yaml_text import plain_yaml
 
 _POSES = ("camera_T_lidar", "T_cam_lidar", "T_camera_lidar")
 _MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "CameraMat", "intrinsic_matrix", "K", "K1", "M1")
@@ -45,22 +44,11 @@ class ForeignCamera:
     height_px: int
 
 
-class _Loader(PlainLoader):
-    """YAML with OpenCV's tags, which are read as plain groups and lists."""
-
-
-def _plain_node(loader: yaml.SafeLoader, suffix: str, node: yaml.Node) -> Any:
-    del suffix
-    if isinstance(node, yaml.MappingNode):
-        return loader.construct_mapping(node, deep=True)
-    return loader.construct_sequence(node, deep=True) if isinstance(node, yaml.SequenceNode) else None
-
-
-_Loader.add_multi_constructor("tag:yaml.org,2002:opencv", _plain_node)
-
-
-def parse_yaml(text: str) -> Any:
+def parse_calibration(text: str) -> Any:
     """YAML or JSON, also as OpenCV writes it: with ``%YAML:1.0`` above and its own tags.
+
+    Numbers that are not finite are taken, for programs write them where they know nothing, such as the error of a
+    calibration that was put together by hand; where a number is read it has to be finite.
 
     Raises:
         yaml.YAMLError: If it is none.
@@ -68,14 +56,14 @@ def parse_yaml(text: str) -> Any:
     text = text.removeprefix("\ufeff")
     if text.startswith("%YAML:"):
         text = text.partition("\n")[2]
-    return yaml.load(text, Loader=_Loader)  # noqa: S506 - a SafeLoader
+    return plain_yaml(text, finite=False)
 
 
 def foreign_cameras(content: Any) -> dict[str, ForeignCamera] | None:
     """The cameras of a foreign file by name; None where it is none of the three forms.
 
     Args:
-        content: What :func:`parse_yaml` gave.
+        content: What :func:`parse_calibration` gave.
 
     Raises:
         ValueError: If the form is known and its content is not: a matrix of another shape, a lens that is no pinhole.
@@ -133,8 +121,7 @@ def _check_lens(model: str) -> None:
 def _camera(
     form: str, matrix: np.ndarray, values: np.ndarray, node: Mapping[str, Any], size: Sequence[Any]
 ) -> ForeignCamera:
-    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[2].tolist() == [0.0, 0.0, 1.0]):
-        raise ValueError(f"the matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {matrix.tolist()}")
+    check_matrix(matrix)
     if values[5:].any():
         raise ValueError(f"the distortion: expected k1, k2, p1, p2, k3 alone, got {values.size} that are not 0")
     key = next((key for key in _POSES if node.get(key) is not None), None)
@@ -150,6 +137,16 @@ def _camera(
         width_px=sides[0],
         height_px=sides[1],
     )
+
+
+def check_matrix(matrix: Float[np.ndarray, "3 3"]) -> None:
+    """Refuse what is no camera's matrix.
+
+    Raises:
+        ValueError: If a focal length is not above 0, or the last row is not 0, 0, 1.
+    """
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[2].tolist() == [0.0, 0.0, 1.0]):
+        raise ValueError(f"the matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {matrix.tolist()}")
 
 
 def _array(node: Any, name: str) -> np.ndarray:

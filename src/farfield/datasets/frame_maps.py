@@ -56,6 +56,7 @@ MAPS: Registry[Any] = Registry(
     "farfield.maps",
     "map of frames",
     {
+        "annotated_field": "farfield.datasets.maps.annotations:AnnotatedField",
         "classes": "farfield.datasets.class_mapping:Classes",
         "common_radar": "farfield.datasets.maps.common_radar:CommonRadar",
         "coordinates": "farfield.datasets.maps.coordinates:Coordinates",
@@ -64,6 +65,7 @@ MAPS: Registry[Any] = Registry(
         "move": "farfield.datasets.maps.coordinates:Move",
         "posed": "farfield.datasets.maps.sweeps:Posed",
         "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
+        "separate_labels": "farfield.datasets.separate_labels:SeparateLabels",
         "sweeps": "farfield.datasets.maps.sweeps:Sweeps",
         "whole_bodies": "farfield.datasets.maps.annotations:WholeBodies",
     },

@@ -7,6 +7,7 @@ from pathlib import Path
 from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.errors import DatasetError
+from farfield.files.atomic import readable
 from farfield.files.point_times import PointTimes
 from farfield.frame import Frame, Key
 
@@ -94,11 +95,11 @@ class CloudFiles(Dataset):
     ) -> None:
         self.paths = tuple(paths)
         self.reading = CloudReading(
-            self.paths, bin_columns=bin_columns, intensity_scale=intensity_scale, point_times=point_times
+            self.paths, bin_columns=bin_columns, intensity_scale=intensity_scale, point_times=point_times, posed=True
         )
         alone = len({path.stem for path in self.paths}) == len(self.paths)
-        self.sequences = tuple("files" if alone else path.resolve().parent.name for path in self.paths)
-        self.frame_ids = tuple(path.stem for path in self.paths)
+        self.sequences = tuple("files" if alone else readable(path.resolve().parent.name) for path in self.paths)
+        self.frame_ids = tuple(readable(path.stem) for path in self.paths)
         double: Key | None = next((key for key, count in Counter(self.keys).items() if count > 1), None)
         if double is not None:
             same = ", ".join(str(path) for path, key in zip(self.paths, self.keys, strict=True) if key == double)
@@ -106,8 +107,21 @@ class CloudFiles(Dataset):
 
     def frame(self, index: int) -> Frame:
         """Read cloud ``index``."""
-        cloud = self.reading(self.paths[index])
-        return Frame.of(cloud, sequence=self.sequences[index], frame_id=self.frame_ids[index])
+        path = self.paths[index]
+        return Frame.of(
+            self.reading(path),
+            sequence=self.sequences[index],
+            frame_id=self.frame_ids[index],
+            world_T_frame=self.reading.world_T_frame(path),
+        )
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        return all_poses(self.reading.world_T_frame(self.paths[int(index)]) for index in indices)
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What was decided from the clouds: the origin of a map's coordinates."""
+        return self.reading.assumptions
 
     def files(self, index: int) -> tuple[Path, ...]:
         """The file of a frame."""

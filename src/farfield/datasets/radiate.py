@@ -6,7 +6,6 @@ off, the radar's azimuth by the Cartesian picture, the lidar's place and the 0.2
 over each other.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,9 +14,11 @@ import numpy as np
 from jaxtyping import Float32
 
 from farfield.datasets.base import Dataset, Indices, all_known
-from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
-from farfield.files.atomic import read_bytes
+from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.ascii_table import whole_numbers
 from farfield.files.images import read_image
+from farfield.files.json_text import read_json
+from farfield.files.limits import MAX_RINGS
 from farfield.files.radiate import RadiateTracks, read_times, read_tracks
 from farfield.files.suffixes import any_case, existing
 from farfield.files.xyz import read_xyz
@@ -26,6 +27,7 @@ from farfield.frame.cloud import returned
 from farfield.geometry.poses import pose
 from farfield.radar.turning import CARTESIAN_SHAPE, CELL_M, CENTRE_PX, POLAR_SHAPE, TURN_S, strongest_cells
 from farfield.vocabulary.classes import normalised_class
+from farfield.vocabulary.counts import count_of
 
 STAMP_LAG_S = TURN_S
 """A radar picture is stamped a whole turn after the moment that it fits in lidar and cameras (the SDK's ``sync``)."""
@@ -209,10 +211,7 @@ def read_meta(path: Path) -> dict[str, str]:
     """
     if not path.is_file():
         return {}
-    try:
-        meta = json.loads(read_bytes(path, max_bytes=1 << 20).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="a JSON object", got=plain(error)) from error
+    meta = read_json(path, max_bytes=1 << 20)
     if not isinstance(meta, dict):
         raise FileFormatError(path, where="the file", expected="a JSON object", got=type(meta).__name__)
     return {str(key): str(value) for key, value in meta.items()}
@@ -228,7 +227,8 @@ def read_picture(path: Path, name: str) -> Float32[np.ndarray, "height width"]:
     image = read_image(path, max_pixels=CARTESIAN_SHAPE[0] * CARTESIAN_SHAPE[1])
     if image.shape[:2] != shape:
         raise DatasetError(
-            f"{path}: expected a {name} picture of {shape[0]} rows and {shape[1]} columns, got {image.shape}"
+            f"{path}: expected a {name} picture of {count_of(shape[0], 'row')} "
+            f"and {shape[1]} columns, got {image.shape}"
         )
     return image[:, :, 0].astype(np.float32) / np.float32(255)
 
@@ -253,7 +253,8 @@ def lidar_cloud(path: Path) -> Cloud:
         actual = f"{rows[:, 3].min():g} to {rows[:, 3].max():g}"
         raise FileFormatError(path, where="column 4, intensity", expected="values from 0 to 255", got=actual)
     intensity = (rows[:, 3] / 255).astype(np.float32)
-    return Cloud(points.astype(np.float32), intensity, {"ring": rows[:, 4].astype(np.int16)}, int((~valid).sum()))
+    ring = whole_numbers(rows[:, 4], largest=MAX_RINGS - 1, path=path, where="column 5, the ring").astype(np.int16)
+    return Cloud(points.astype(np.float32), intensity, {"ring": ring}, int((~valid).sum()))
 
 
 def annotation_of(rows: RadiateTracks, classes: str = "cirrus") -> Annotation:

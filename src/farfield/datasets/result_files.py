@@ -1,4 +1,4 @@
-"""A detector's boxes in the result files of other tools: KITTI's folder of texts, nuScenes' JSON."""
+"""A detector's boxes in the result files of other tools: of KITTI, nuScenes, Argoverse 2 and Waymo."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,18 +13,28 @@ from farfield.datasets.convert import box_rows
 from farfield.datasets.kitti.boxes import objects_from_boxes
 from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti
 from farfield.errors import ConfigError
+from farfield.files.argoverse2_boxes import write_argoverse2_boxes
 from farfield.files.atomic import open_atomic
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv_parts
 from farfield.files.coordinates import camera_words, read_coordinates, write_coordinates
 from farfield.files.kitti import write_labels
 from farfield.files.nuscenes import WORLD
+from farfield.files.waymo_objects import write_waymo_objects
 from farfield.frame import Boxes, Frame, Key
+from farfield.metrics.submissions import (
+    ARGOVERSE2_NAMES,
+    WAYMO_TYPES,
+    argoverse2_part,
+    stamp_of,
+    waymo_part,
+)
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, NUSCENES_FROM_CIRRUS
+from farfield.vocabulary.counts import count_of
 
-ResultFormat = Literal["boxes-csv", "kitti", "nuscenes"]
+ResultFormat = Literal["boxes-csv", "kitti", "nuscenes", "argoverse2", "waymo"]
 RESULT_FORMATS: tuple[str, ...] = get_args(ResultFormat)
-_SUFFIX = {".csv": "boxes-csv", ".json": "nuscenes"}
-_WANTED = {"boxes-csv": "a file ending in .csv", "nuscenes": "a file ending in .json", "kitti": "a folder"}
+_SUFFIX = {".csv": "boxes-csv", ".json": "nuscenes", ".feather": "argoverse2", ".bin": "waymo"}
+_WANTED = {format: f"a file ending in {suffix}" for suffix, format in _SUFFIX.items()} | {"kitti": "a folder"}
 
 Found = Iterable[tuple[Key, Boxes]]
 """Scored boxes by (sequence, frame), frame after frame."""
@@ -49,8 +59,8 @@ def result_format(out: Path | None, format: str | None = None) -> str:
     suffix_format = _SUFFIX.get(out.suffix)
     if format is None and suffix_format is None:
         raise ConfigError(
-            f"--out {out}: expected a name ending in .csv (boxes as CSV) or .json (nuScenes' results), or a folder "
-            "with --format kitti (KITTI's results)"
+            f"--out {out}: expected a name ending in .csv (boxes as CSV), .json (nuScenes' results), .feather "
+            "(Argoverse 2's) or .bin (Waymo's), or a folder with --format kitti (KITTI's results)"
         )
     chosen = format or str(suffix_format)
     fits = (
@@ -94,8 +104,30 @@ class ResultWriter:
             self._kitti(out, frame_boxes)
         elif self.format == "nuscenes":
             self._nuscenes(out, frame_boxes)
+        elif self.format in ("argoverse2", "waymo"):
+            self._submission(out, frame_boxes)
         else:
             write_boxes_csv_parts(out, rows_of(frame_boxes, self.frames[0].reference))
+
+    def _submission(self, out: Path, frame_boxes: Found) -> None:
+        """One file of all frames in the vehicle's coordinates, whose frames are named by their stamps."""
+        whose, own = ("Argoverse 2", "ego") if self.format == "argoverse2" else ("Waymo", "vehicle")
+        reference = self.frames[0].reference
+        if reference not in ("ego", "vehicle"):
+            raise ConfigError(
+                f"--format {self.format}: expected boxes in the coordinates of the vehicle ({own}), as {whose}'s "
+                f"submissions have them; got {reference or 'some that have no name'}. "
+                "Take --reference ego where the data have it, or another format"
+            )
+        for key in self.keys:
+            stamp_of(key)
+        written = _WrittenClasses(frame_boxes, ARGOVERSE2_NAMES if self.format == "argoverse2" else WAYMO_TYPES)
+        if self.format == "argoverse2":
+            write_argoverse2_boxes(out, (argoverse2_part(key, boxes) for key, boxes in written))
+        else:
+            write_waymo_objects(out, (waymo_part(key, boxes) for key, boxes in written))
+            self.notes.append("scores are rounded to single precision, which the format holds")
+        self.notes += written.notes()
 
     def _kitti(self, out: Path, frame_boxes: Found) -> None:
         """``FRAME.txt`` for each frame, the empty ones too, below a folder for each of several sequences."""
@@ -113,7 +145,8 @@ class ResultWriter:
             write_labels(folder / f"{frame_id}.txt", objects)
         if virtual:
             self.notes.append(
-                f"{virtual} frames have no camera: their boxes stand in KITTI's axes at the sensor, and 2D boxes are "
+                f"{count_of(virtual, 'frame has', 'frames have')} no camera: their boxes "
+                "stand in KITTI's axes at the sensor, and 2D boxes are "
                 "those of a virtual camera there"
             )
 
@@ -138,6 +171,35 @@ class ResultWriter:
         self.notes.append(f"boxes stand in the coordinates of {where}")
         if still:
             self.notes.append("velocities are not known and stand as 0: nuScenes' results must have numbers there")
+
+
+class _WrittenClasses:
+    """The boxes frame by frame, and under which names their classes are written.
+
+    Args:
+        frame_boxes: The boxes of each frame.
+        names: The other tool's name of each class that it has.
+    """
+
+    def __init__(self, frame_boxes: Found, names: Mapping[str, str]) -> None:
+        self.frame_boxes, self.names = frame_boxes, names
+        self.counts: dict[str, int] = {}
+
+    def __iter__(self) -> Iterator[tuple[Key, Boxes]]:
+        for key, boxes in self.frame_boxes:
+            for name, count in zip(*np.unique(boxes.label, return_counts=True), strict=True):
+                self.counts[str(name)] = self.counts.get(str(name), 0) + int(count)
+            yield key, boxes
+
+    def notes(self) -> list[str]:
+        """Which classes have other names there, and how many boxes are of a class that it lacks."""
+        other = {name: self.names[name] for name in sorted(self.counts) if self.names.get(name, name) != name}
+        lost = {name: count for name, count in sorted(self.counts.items()) if name not in self.names}
+        notes = [f"classes are called {', '.join(f'{own} for {name}' for name, own in other.items())}"] if other else []
+        if lost:
+            listed = ", ".join(f"{name} ({count})" for name, count in lost.items())
+            notes.append(f"boxes of classes that the format does not have are left out: {listed}")
+        return notes
 
 
 def rows_of(frame_boxes: Found, reference: str = "") -> Iterator[BoxRows]:

@@ -1,7 +1,6 @@
 """Assign frames to train, val and test, whole units together: from a file, by a hash of their names, or cut in time."""
 
 import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -10,6 +9,8 @@ import numpy as np
 from jaxtyping import Int
 
 from farfield.errors import ConfigError, DatasetError, plain
+from farfield.files.atomic import read_bytes
+from farfield.files.json_text import plain_json
 from farfield.files.stand_ins import check_itself
 from farfield.frame import Key
 
@@ -138,13 +139,24 @@ def read_parts(path: Path, units: Iterable[str]) -> dict[str, list[str]]:
         return {}
     check_itself(path)
     try:
-        parts = json.loads(path.read_text("utf-8"))
-    except (ValueError, UnicodeDecodeError) as error:
+        parts = plain_json(read_bytes(path, max_bytes=1 << 26))
+    except ValueError as error:
         raise DatasetError(
             f"{path}: expected JSON such as {{'train': ['segment_00']}}, found: {plain(error)}"
         ) from error
     if not isinstance(parts, dict) or not all(isinstance(names, list) for names in parts.values()):
         raise DatasetError(f"{path}: expected an object of lists of sequence names, such as {{'train': [...]}}")
+    odd = [unit for names in parts.values() for unit in names if not isinstance(unit, str)]
+    if odd:
+        raise DatasetError(f"{path}: expected names of sequences as texts, got {odd[0]!r}"[:200])
+    part_of: dict[str, str] = {}
+    for part in SPLIT_SHARES:
+        for unit in parts.get(part, []):
+            if part_of.setdefault(unit, part) != part:
+                raise DatasetError(
+                    f"{path}: expected each sequence in one of {', '.join(SPLIT_SHARES)}, got {unit!r} in "
+                    f"{part_of[unit]} and in {part}: what is learnt from would be scored"
+                )
     missing = sorted({str(unit) for names in parts.values() for unit in names} - set(units))
     if missing:
         raise DatasetError(f"{path}: names sequences that the data set lacks: {', '.join(missing[:5])}")

@@ -25,6 +25,7 @@ from farfield.files.suffixes import any_case, existing
 from farfield.files.sustechpoints import MAX_BYTES, parse_sustechpoints
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
+from farfield.geometry.poses import unrigid
 
 _IMAGES = (".jpg", ".jpeg", ".png")
 
@@ -150,8 +151,11 @@ def _camera(path: Path, image: Path | None) -> Camera:
         raise FileFormatError(path, where="the root", expected="an object", got=repr(content)[:80])
     pose = np.array(numbers(content.get("extrinsic"), 16, path, "extrinsic", "a matrix row by row")).reshape(4, 4)
     matrix = np.array(numbers(content.get("intrinsic"), 9, path, "intrinsic", "a matrix row by row")).reshape(3, 3)
-    if not 0.9 < float(np.linalg.det(pose[:3, :3])) < 1.1 or matrix[0, 0] <= 0:
-        expected = "a motion from the LiDAR to the camera and a positive focal length"
-        raise FileFormatError(path, where="extrinsic", expected=expected, got=repr(pose[:3].tolist())[:120])
+    if fault := unrigid(pose):
+        expected = "a rigid motion from the LiDAR to the camera"
+        raise FileFormatError(path, where="extrinsic", expected=expected, got=fault)
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[2].tolist() == [0, 0, 1]):
+        expected = "fx, 0, cx, 0, fy, cy, 0, 0, 1"
+        raise FileFormatError(path, where="intrinsic", expected=expected, got=repr(matrix.ravel().tolist())[:120])
     width, height = (0, 0) if image is None else image_size(image)
     return Camera(matrix=matrix, camera_T_lidar=pose, width_px=width, height_px=height)

@@ -95,6 +95,22 @@ def _fault(
     return FileFormatError(path, where=where, expected="numbers that fit their columns", got=reason)
 
 
+def whole_numbers(
+    values: Float[np.ndarray, " n"], *, largest: int, path: Path | str, where: str
+) -> Int[np.ndarray, " n"]:
+    """A column of a table as whole numbers: rings, identities, counters.
+
+    Raises:
+        FileFormatError: If one is not finite, has a fraction, is negative or beyond the largest: no cast says so.
+    """
+    with np.errstate(invalid="ignore"):
+        wrong = ~((values >= 0) & (values <= largest) & (values % 1 == 0))
+    if wrong.any():
+        expected, row = f"whole numbers from 0 to {largest}", int(np.argmax(wrong))
+        raise FileFormatError(path, where=f"{where} of point {row}", expected=expected, got=f"{values[row]:g}")
+    return values.astype(np.int64)
+
+
 def _fits(text: str, dtype: np.dtype) -> bool:
     if not text.isascii() or "_" in text:  # Python takes 1_000 for a number
         return False

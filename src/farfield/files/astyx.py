@@ -10,9 +10,10 @@ from jaxtyping import Float
 
 from farfield.errors import FileFormatError
 from farfield.files.ascii_table import parse_table
-from farfield.files.atomic import MAX_BYTES, read_bytes
-from farfield.files.cuboids import numbers
+from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import FARTHEST_M, check_turns, is_name, numbers
 from farfield.files.json_text import parse_json
+from farfield.files.limits import MAX_BYTES, check_name
 
 RADAR_COLUMNS = ("X", "Y", "Z", "V_r", "Mag")
 LIDAR_COLUMNS = ("X", "Y", "Z", "Reflectivity", "LaserID", "Timestamp")
@@ -81,7 +82,8 @@ def read_sensors(path: Path | str) -> dict[str, Mapping[str, Float[np.ndarray, "
         if data.get("K") is not None:
             matrices["K"] = _matrix(data["K"], 3, path, where)
         pose = matrices["T_to_ref_COS"]
-        if not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-2) or np.linalg.det(pose[:3, :3]) < 0:
+        turn, last = pose[:3, :3], pose[3].tolist()
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-2) or np.linalg.det(turn) < 0 or last != [0, 0, 0, 1]:
             raise FileFormatError(path, where=where, expected="a rotation and a place", got=repr(pose.tolist())[:120])
         poses[name] = matrices
     return poses
@@ -105,12 +107,14 @@ def _object(entry: Mapping[str, Any], path: Path | str, where: str) -> AstyxObje
     size = numbers(entry.get("dimension3d"), 3, path, f"{where}.dimension3d", "length, width, height")
     turned = numbers(entry.get("orientation_quat"), 4, path, f"{where}.orientation_quat", "w, x, y, z")
     kinds = [entry.get(key, -1) for key in ("occlusion", "label_certainty")]
-    if not isinstance(name, str) or min(size) <= 0 or abs(np.linalg.norm(turned) - 1) > _UNIT:
-        expected = "a class, a positive size and a unit quaternion"
+    sound = is_name(name) and max(map(abs, centre)) <= FARTHEST_M
+    if not sound or min(size) <= 0 or abs(np.linalg.norm(turned) - 1) > _UNIT:
+        expected = f"a class, a centre within {FARTHEST_M:g} m, a positive size and a unit quaternion"
         raise FileFormatError(path, where=where, expected=expected, got=repr(entry)[:120])
-    if not all(isinstance(kind, int) for kind in kinds):
+    check_turns(np.array([[*turned[1:], turned[0]]]), path, where)
+    if not all(type(kind) is int for kind in kinds):
         raise FileFormatError(path, where=where, expected="whole occlusion and label_certainty", got=repr(kinds)[:80])
-    return AstyxObject(name, tuple(centre), tuple(size), tuple(turned), *kinds)
+    return AstyxObject(check_name(path, where, str(name)), tuple(centre), tuple(size), tuple(turned), *kinds)
 
 
 def _listed(content: Any, key: str, path: Path | str) -> list[Mapping[str, Any]]:

@@ -12,7 +12,7 @@ import yaml
 from jaxtyping import Float, Shaped, UInt8
 
 from farfield.errors import MissingExtraError
-from farfield.files.atomic import write_text
+from farfield.files.atomic import move_into_place, write_text
 
 _VERSION = 9
 
@@ -52,7 +52,7 @@ def write_bag_part(
                 writer.write(connections[topic], log_ns, raw)
                 counts[topic] += 1
                 first_ns, last_ns = log_ns if first_ns is None else first_ns, log_ns
-        (staging / path.stem / path.name).replace(path)
+        move_into_place(staging / path.stem / path.name, path)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     return {"path": path.name, "start_ns": first_ns or 0, "end_ns": last_ns, "counts": counts}

@@ -1,29 +1,43 @@
-"""ROS 2 bags: folders with ``metadata.yaml``, or a lone ``.mcap`` or ``.db3`` file, read through ``rosbags``.
+"""ROS bags: of ROS 2 folders with ``metadata.yaml``, or a lone ``.mcap`` or ``.db3`` file; of ROS 1 a ``.bag`` file.
+
+They are read through ``rosbags``, ROS 1's records by :mod:`farfield.files.ros1_bags` and their messages through it.
 
 Whatever a damaged bag makes of the library becomes a :class:`FileFormatError`, and a bag that gives fewer messages than
 it says is damaged. A changed payload is seen only where the format has a checksum (MCAP's chunks, if the writer filled
 it in); SQLite has none, and an altered message without a checksum reads as another message. What would unpack to
-absurdly much is refused before it is (:mod:`farfield.files.bags`).
+absurdly much is refused before it is (:mod:`farfield.files.bag_guard`).
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import lru_cache
+from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 from weakref import finalize
 
 import numpy as np
+import yaml
 from jaxtyping import Int64
 
-from farfield.errors import FarfieldError, FileFormatError, MissingExtraError
+from farfield.errors import FarfieldError, FileFormatError, MissingExtraError, plain
+from farfield.files.atomic import read_bytes
+from farfield.files.bag_guard import SUFFIXES, bounded, check_packed_file, check_storage, unpacked_message
+from farfield.files.limits import MAX_BYTES
+from farfield.files.ros1_bags import REINDEX, Ros1Reader
+from farfield.files.ros1_bags import SUFFIX as ROS1_SUFFIX
 from farfield.files.stand_ins import check_itself
 from farfield.files.suffixes import any_case
+from farfield.files.yaml_text import MAX_BYTES as YAML_BYTES
+from farfield.files.yaml_text import plain_yaml
 
-SUFFIXES = (".mcap", ".db3")
+_SUFFIX_OF = {"mcap": ".mcap", "sqlite3": ".db3"}  # by storage_identifier
+FILE_SUFFIXES = (*SUFFIXES, ROS1_SUFFIX)
+"""Endings of the names of files that are a bag by themselves."""
 HEADER = "std_msgs/msg/Header"
-_MAX_MESSAGE_BYTES = 1 << 30
+_LATEST_NS = 1 << 62
+_FREE_MESSAGES, _LEAST_MESSAGE_BYTES = 100_000, 4  # of a bag, packed: an MCAP's message has 31 bytes and its content
+_MAX_DEFINITION_BYTES, _MAX_FIXED = 1 << 16, 4096
 
 
 class Topic(NamedTuple):
@@ -45,7 +59,7 @@ class Stamps:
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag: a file of a known suffix, or a folder with a bag's metadata."""
     if path.is_file():
-        return path.suffix.lower() in SUFFIXES
+        return path.suffix.lower() in FILE_SUFFIXES
     return (path / "metadata.yaml").is_file() and any(
         next(path.glob(f"*{any_case(suffix)}"), None) for suffix in SUFFIXES
     )
@@ -66,16 +80,13 @@ class Bag:
         self.path = Path(path)
         self._open: Any = None
         self._packed = False
-        for part in [self.path] if self.path.is_file() else sorted(self.path.iterdir()):
-            if part.suffix.lower() in (*SUFFIXES, ".yaml"):
-                check_itself(part)
-            if part.suffix.lower() == ".db3":
-                _check_size(part)
-            elif part.suffix.lower() == ".mcap":
-                check_records(part)
-                check_kind(part)
-            elif part.suffix == ".zstd":
+        self.is_ros1 = self.path.is_file() and self.path.suffix.lower() == ROS1_SUFFIX
+        for part in _parts(self.path) if self.path.is_dir() else [self.path]:
+            check_itself(part)
+            if part.suffix.lower() == ".zstd":
                 check_packed_file(part)
+            else:
+                check_storage(part)
         with guarded(self.path, "the bag"):
             reader = self._reader()
             self.topics = tuple(
@@ -85,6 +96,10 @@ class Bag:
             claimed_count = int(reader.message_count)
         if (counted := sum(topic.size for topic in self.topics)) != claimed_count:
             raise _wrong(self.path, counted, f"{claimed_count} messages in all topics", f"{counted}")
+        parts = [self.path] if self.path.is_file() else filter(Path.is_file, self.path.iterdir())
+        most = _FREE_MESSAGES + sum(part.stat().st_size for part in parts) // _LEAST_MESSAGE_BYTES
+        if claimed_count > most:
+            raise _wrong(self.path, 0, f"at most {most} messages in a bag of its size", f"{claimed_count}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": None}
@@ -94,10 +109,14 @@ class Bag:
             try:
                 from rosbags.rosbag2 import Reader
             except ImportError as error:
-                raise MissingExtraError("rosbags", "bags", "Reading ROS 2 bags") from error
-            bounded()
-            reader = Reader(self.path)
-            reader.open()
+                raise MissingExtraError("rosbags", "bags", "Reading ROS bags") from error
+            if self.is_ros1:
+                self._open = Ros1Reader(self.path)
+                finalize(self, _closed, self._open)
+                return self._open
+            with bounded():
+                reader = Reader(self.path)
+                reader.open()
             inner = reader.storage
             self._packed = inner.metadata.compression_mode == "message"
             if self._packed:  # unpacked here, with a bound
@@ -107,9 +126,10 @@ class Bag:
         return self._open
 
     def _store(self, kind: str) -> Any:
-        """What knows a type: by the definition in the bag, or, where there is none, ROS 2's own."""
-        defined = next((c.msgdef for c in self._reader().connections if c.msgtype == kind), None)
-        return _types(kind, defined)
+        """What knows a type: by the definition in the bag, or, where there is none, ROS' own."""
+        connection = next((c for c in self._reader().connections if c.msgtype == kind), None)
+        defined = None if connection is None else connection.msgdef
+        return _types(kind, defined, connection.md5sum if self.is_ros1 and connection is not None else None)
 
     def close(self) -> None:
         """Let the files go; the bag opens again when it is read."""
@@ -120,7 +140,7 @@ class Bag:
     def messages(
         self, names: Collection[str] = (), *, start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[tuple[Topic, int, bytes]]:
-        """Topic, time of recording and bytes (CDR) of each message, by time of recording.
+        """Topic, time of recording and bytes (CDR, or ROS 1's) of each message, by time of recording.
 
         Args:
             names: Topics; all where there are none.
@@ -138,18 +158,24 @@ class Bag:
             source = reader.messages(chosen, start_ns, stop_ns) if chosen else iter(())
         while (record := _next(self.path, source, sum(counts.values()))) is not None:
             connection, log_ns, raw = record
-            if len(raw) > _MAX_MESSAGE_BYTES:
-                raise _wrong(self.path, sum(counts.values()), f"at most {_MAX_MESSAGE_BYTES} bytes", f"{len(raw)}")
+            if not 0 <= log_ns < _LATEST_NS:
+                expected = f"a time of recording from 0 to {_LATEST_NS} ns"
+                raise _wrong(self.path, sum(counts.values()), expected, f"{log_ns} ns")
+            if len(raw) > MAX_BYTES:
+                raise _wrong(self.path, sum(counts.values()), f"at most {MAX_BYTES} bytes", f"{len(raw)}")
             if self._packed:
                 with guarded(self.path, f"message {sum(counts.values())}"):
                     raw = unpacked_message(raw)
             counts[connection.topic] += 1
+            if counts[connection.topic] > topics[connection.topic].size:
+                size = topics[connection.topic].size
+                raise _wrong(self.path, size, f"{size} messages of {connection.topic}", "more")
             yield topics[connection.topic], int(log_ns), bytes(raw)
         for name, topic in topics.items():
             if start_ns is None and stop_ns is None and counts[name] != topic.size:
                 raise FileFormatError(
                     self.path, where=f"topic {name}", expected=f"{topic.size} messages",
-                    got=f"{counts[name]}", fix="The bag is cut; `ros2 bag reindex` may save what is left.",
+                    got=f"{counts[name]}", fix=f"The bag is cut; {_saving(self.path)}",
                 )  # fmt: skip
 
     def stamps(self, names: Collection[str] = ()) -> dict[str, Stamps]:
@@ -163,7 +189,7 @@ class Bag:
         for number, (topic, log_ns, raw) in enumerate(self.messages(names)):
             log[topic.name].append(log_ns)
             if headed[topic.name]:
-                header[topic.name].append(header_ns(self.path, number, raw))
+                header[topic.name].append(header_ns(self.path, number, raw, ros1=self.is_ros1))
         return {
             name: Stamps(
                 np.array(times, dtype=np.int64),
@@ -186,7 +212,9 @@ class Bag:
             FileFormatError: If the bytes do not fit the definition.
         """
         with guarded(self.path, f"a message of {topic.name} ({topic.kind})"):
-            return self._store(topic.kind).deserialize_cdr(raw, topic.kind)
+            store = self._store(topic.kind)
+            parse = store.deserialize_ros1 if self.is_ros1 else store.deserialize_cdr
+            return parse(raw, topic.kind)
 
     def at(self, name: str, log_ns: int, repeat: int = 0) -> Any:
         """The message of a topic that was recorded at a moment, decoded; the ``repeat``-th where there are several.
@@ -200,10 +228,40 @@ class Bag:
         raise FileFormatError(self.path, where=f"topic {name}", expected=f"a message at {log_ns} ns", got="none")
 
 
-def header_ns(path: Path, number: int, raw: bytes) -> int:
-    """The stamp at the beginning of a message in CDR: four bytes of encoding, then seconds and nanoseconds."""
-    order: Any = "little" if len(raw) > 1 and raw[1] & 1 else "big"
-    seconds = int.from_bytes(raw[4:8], order, signed=True)
+def _parts(folder: Path) -> list[Path]:
+    """The files of a bag's folder that are read: ``metadata.yaml``, first, and those that it names or that look so.
+
+    Raises:
+        FileFormatError: If the metadata are no YAML within bounds, or name a file of another kind.
+    """
+    metadata = folder / "metadata.yaml"
+    if not metadata.exists():
+        raise FileFormatError(folder, where="the folder", expected="a bag's metadata.yaml", got="none")
+    content = read_bytes(metadata, max_bytes=YAML_BYTES)
+    try:
+        information = plain_yaml(content)["rosbag2_bagfile_information"]
+        named = {folder / PurePath(name).name for name in information["relative_file_paths"]}
+        storage = _SUFFIX_OF.get(str(information["storage_identifier"]))
+    except (yaml.YAMLError, KeyError, TypeError) as error:
+        raise FileFormatError(metadata, where="the file", expected="a bag's metadata", got=plain(error)) from error
+    suffixes = (*SUFFIXES, ".zstd")
+    if others := sorted(path.name for path in named if path.suffix.lower() not in suffixes):
+        expected, got = f"files of the kinds {', '.join(suffixes)}", f"{others[0]!r}"
+        raise FileFormatError(metadata, where="relative_file_paths", expected=expected, got=got[:80])
+    kinds = {path.name: Path(path.stem if path.suffix.lower() == ".zstd" else path).suffix.lower() for path in named}
+    if storage and (others := sorted(name for name, kind in kinds.items() if kind != storage)):
+        expected, got = f"files of the kind {storage}, as storage_identifier says", f"{others[0]!r}"
+        raise FileFormatError(metadata, where="relative_file_paths", expected=expected, got=got[:80])
+    return [metadata, *(path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes)]
+
+
+def header_ns(path: Path, number: int, raw: bytes, *, ros1: bool = False) -> int:
+    """The stamp at the beginning of a message: four bytes, then seconds and nanoseconds.
+
+    The four bytes are CDR's encoding, or ROS 1's counter, whose seconds have no sign.
+    """
+    order: Any = "little" if ros1 or (len(raw) > 1 and raw[1] & 1) else "big"
+    seconds = int.from_bytes(raw[4:8], order, signed=not ros1)
     fraction = int.from_bytes(raw[8:12], order)
     if len(raw) < 12 or fraction >= 1_000_000_000:
         raise _wrong(path, number, "a header with a stamp", f"{len(raw)} bytes, {fraction} ns")
@@ -211,16 +269,56 @@ def header_ns(path: Path, number: int, raw: bytes) -> int:
 
 
 @lru_cache(maxsize=256)
-def _types(kind: str, defined: Any) -> Any:
+def _types(kind: str, defined: Any, md5sum: str | None) -> Any:
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     if defined is None or defined.format == MessageDefinitionFormat.NONE:
-        return get_typestore(Stores.LATEST)
+        store = get_typestore(Stores.LATEST if md5sum is None else Stores.ROS1_NOETIC)
+        _check_digest(store, kind, md5sum)
+        return store
+    if len(defined.data) > _MAX_DEFINITION_BYTES:
+        raise ValueError(f"a definition of {len(defined.data)} bytes, more than {_MAX_DEFINITION_BYTES}")
     store = get_typestore(Stores.EMPTY)
     by_msg = defined.format == MessageDefinitionFormat.MSG
-    store.register(get_types_from_msg(defined.data, kind) if by_msg else get_types_from_idl(defined.data))
+    types = get_types_from_msg(defined.data, kind) if by_msg else get_types_from_idl(defined.data)
+    _check_fields(types)
+    store.register(types)
+    _check_digest(store, kind, md5sum)
     return store
+
+
+def _check_digest(store: Any, kind: str, md5sum: str | None) -> None:
+    """Refuse a definition of ROS 1 that is another than the one that its checksum is of; ``*`` is of any.
+
+    Raises:
+        ValueError: If it is.
+    """
+    if md5sum in (None, "*"):
+        return
+    actual = store.generate_msgdef(kind)[1]
+    if actual != md5sum:
+        raise ValueError(f"the definition of {kind} has the md5sum {actual}, the connection says {str(md5sum)[:40]!r}")
+
+
+def _check_fields(types: Mapping[str, Any]) -> None:
+    """Refuse types of which a few bytes become many objects, or code without end, when they are decoded.
+
+    Raises:
+        ValueError: If an array of texts or messages has a fixed length beyond reason, or messages in a list no bytes.
+    """
+    from rosbags.interfaces import Nodetype
+
+    for name, (_, fields) in types.items():
+        for field, (node, value) in fields:
+            if node not in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                continue
+            (inner, inner_value), length = value
+            is_plain = inner == Nodetype.BASE and inner_value[0] != "string"
+            if node == Nodetype.ARRAY and not is_plain and length > _MAX_FIXED:
+                raise ValueError(f"{name}.{field}: an array of {length} texts or messages")
+            if inner == Nodetype.NAME and inner_value in types and not types[inner_value][1]:
+                raise ValueError(f"{name}.{field}: a list of messages without fields")
 
 
 def _closed(reader: Any) -> None:
@@ -233,20 +331,6 @@ def _next(path: Path, source: Iterator[Any], number: int) -> Any:
         return next(source, None)
 
 
-def _check_size(path: Path) -> None:
-    """Refuse an SQLite file that is shorter than its header says (SQLite's file format, 1.3.8)."""
-    with path.open("rb") as handle:
-        head = handle.read(100)
-    size = path.stat().st_size
-    page = int.from_bytes(head[16:18], "big")
-    page = 65536 if page == 1 else page
-    claimed_bytes = page * int.from_bytes(head[28:32], "big")
-    if len(head) < 100 or not head.startswith(b"SQLite format 3\0") or size < claimed_bytes:
-        raise FileFormatError(
-            path, where="the file", expected=f"an SQLite file of {claimed_bytes} bytes", got=f"{size} bytes"
-        )
-
-
 @contextmanager
 def guarded(path: Path | str, where: str) -> Iterator[None]:
     """Turn whatever the library raises over a damaged bag into the error of a damaged file."""
@@ -256,194 +340,14 @@ def guarded(path: Path | str, where: str) -> Iterator[None]:
         raise
     except Exception as error:  # the library lets Unicode, key, memory and other errors of damaged bytes through
         actual = f"{type(error).__name__}: {error}"[:200]
-        fix = "A recorder that was killed leaves no end; `ros2 bag reindex` may save what is left."
+        fix = f"A recorder that was killed leaves no end; {_saving(Path(path))}"
         raise FileFormatError(path, where=where, expected="a whole bag", got=actual, fix=fix) from error
+
+
+def _saving(path: Path) -> str:
+    command = REINDEX if path.suffix.lower() == ROS1_SUFFIX else "ros2 bag reindex"
+    return f"`{command}` may save what is left."
 
 
 def _wrong(path: Path, number: int, expected: str, actual: str) -> FileFormatError:
     return FileFormatError(path, where=f"message {number}", expected=expected, got=actual)
-
-
-# Bags that would fill the memory or the disk: sizes that records claim are checked before anything is unpacked.
-#
-# A record is an opcode, its length (8 bytes) and its content; a chunk (opcode 6) holds two times, the size that it
-# unpacks to, a checksum, the name of the compression, and the packed bytes behind their length (https://mcap.dev/spec).
-# A chunk of a few kilobytes of zstd may unpack to terabytes, whatever size it claims.
-
-MOST_BYTES = 1 << 30
-"""No chunk unpacks to more."""
-FREE_BYTES, MOST_TIMES = 64 << 20, 256
-"""Beyond so many bytes, a chunk unpacks to at most so many times its packed size."""
-_MAGIC, _CHUNK, _HEAD = b"\x89MCAP0\r\n", 6, 36
-
-
-def allowed_bytes(packed: int) -> int:
-    """To how many bytes so many packed ones may unpack."""
-    return min(MOST_BYTES, FREE_BYTES + MOST_TIMES * packed)
-
-
-def check_records(path: Path) -> None:
-    """Walk through a file's records without reading their content; a file that is no MCAP is left to its reader.
-
-    Raises:
-        FileFormatError: If a record claims to end beyond the file, or a chunk to unpack to absurdly much.
-    """
-    size, number = path.stat().st_size, 0
-    with path.open("rb") as handle:
-        if handle.read(len(_MAGIC)) != _MAGIC:
-            return
-        while handle.tell() < size - len(_MAGIC):
-            head = handle.read(9)
-            length, offset = int.from_bytes(head[1:], "little"), handle.tell()
-            if len(head) < 9 or offset + length > size:
-                raise _too_large(path, number, f"a record that ends within the file's {size} bytes", f"{length} bytes")
-            if head[0] == _CHUNK:
-                _check_chunk(path, number, handle.read(min(length, _HEAD + 64)), length)
-            handle.seek(offset + length)
-            number += 1
-
-
-# Bags that are whole, but of another system: ROS 1, or messages in another encoding than ROS 2's (CDR).
-
-_HEADER, _CHANNEL, _ROS1_BAG = 1, 4, b"#ROSBAG V"
-TO_ROS2 = "rosbags-convert --src FILE.bag --dst FOLDER"
-"""The command that turns a ROS 1 bag into a ROS 2 one; it comes with rosbags, which reads bags here."""
-
-
-def check_kind(path: Path) -> None:
-    """Refuse a file that is no MCAP, or an MCAP of ROS 1 or of messages that are not in ROS 2's encoding.
-
-    Raises:
-        FileFormatError: If it is one of these; the message names the converter.
-    """
-    encodings: set[str] = set()
-    with path.open("rb") as handle:
-        magic = handle.read(len(_MAGIC))
-        if magic != _MAGIC:
-            if (magic + handle.read(8)).startswith(_ROS1_BAG):
-                raise ros1_error(path)
-            actual = "an empty file" if not magic else repr(magic)
-            raise FileFormatError(path, where="byte 0", expected="MCAP's mark", got=actual, fix="It is no MCAP file.")
-        while len(head := handle.read(9)) == 9:
-            length, offset = int.from_bytes(head[1:], "little"), handle.tell()
-            if head[0] in (_HEADER, _CHANNEL):
-                content = handle.read(min(length, 4096))
-                texts = _texts(content[4:] if head[0] == _CHANNEL else content)
-                encodings |= set(texts[:1] if head[0] == _HEADER else texts[1:2])
-            handle.seek(offset + length)
-    if "ros1" in encodings:
-        raise ros1_error(path)
-    others = sorted(encodings & {"protobuf", "json", "flatbuffer", "cbor", "msgpack"})
-    if others and "cdr" not in encodings:
-        raise FileFormatError(
-            path,
-            where="the channels",
-            expected="messages of ROS 2 (encoding cdr)",
-            got=f"messages in {', '.join(others)}",
-            fix="Write the clouds as sensor_msgs/msg/PointCloud2 into a ROS 2 bag, or as .pcd files into a folder.",
-        )
-
-
-def ros1_error(path: Path) -> FileFormatError:
-    """The error of a ROS 1 bag, whatever its suffix."""
-    fix = f"Convert the bag: {TO_ROS2} (pip install rosbags); of an MCAP of ROS 1 the .bag that it was made from."
-    return FileFormatError(path, where="the file", expected="a ROS 2 bag", got="a bag of ROS 1", fix=fix)
-
-
-def _texts(content: bytes) -> list[str]:
-    """The texts at the beginning of a record, each behind its length."""
-    texts: list[str] = []
-    while len(content) >= 4 and len(texts) < 2:
-        length = int.from_bytes(content[:4], "little")
-        texts.append(content[4 : 4 + length].decode("utf-8", "replace"))
-        content = content[4 + length :]
-    return texts
-
-
-def _check_chunk(path: Path, number: int, head: bytes, length: int) -> None:
-    unpacked, name = int.from_bytes(head[16:24], "little"), int.from_bytes(head[28:32], "little")
-    packed = int.from_bytes(head[32 + name : 40 + name], "little")
-    if len(head) < 40 + name or packed > length:
-        raise _too_large(path, number, f"a chunk within its record of {length} bytes", f"{packed} packed bytes")
-    if unpacked > allowed_bytes(packed):
-        expected = f"a chunk of {packed} bytes that unpacks to at most {allowed_bytes(packed)}"
-        raise _too_large(path, number, expected, f"one that claims {unpacked}")
-
-
-def _too_large(path: Path, number: int, expected: str, actual: str) -> FileFormatError:
-    return FileFormatError(path, where=f"record {number}", expected=expected, got=actual)
-
-
-def bounded() -> None:
-    """Make rosbags unpack a chunk to no more than the size that it claims, which is refused where it is absurd."""
-    from rosbags.rosbag2 import storage_mcap
-
-    decompressors: dict[str, Any] = storage_mcap.DECOMPRESSORS
-    for name in ("zstd", "lz4"):
-        if name in decompressors and not isinstance(decompressors[name], partial):
-            decompressors[name] = partial(unpacked, name)
-
-
-def unpacked(name: str, data: bytes, size: int) -> bytes:
-    """Unpack one chunk, never beyond its size.
-
-    Args:
-        name: "zstd" or "lz4".
-        data: The packed bytes.
-        size: What the chunk claims to unpack to.
-
-    Raises:
-        ValueError: If the size is absurd, or the bytes unpack to more.
-    """
-    if size > allowed_bytes(len(data)):
-        raise ValueError(f"a chunk of {len(data)} bytes that claims to unpack to {size}")
-    if name == "zstd":
-        from rosbags.rosbag2.storage_mcap import zstd
-
-        chunk: bytes = zstd.ZstdDecompressor().decompress(data, max_length=size + 1)
-    else:
-        from lz4.frame import LZ4FrameDecompressor
-
-        chunk = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-    if len(chunk) > size:
-        raise ValueError(f"a chunk that unpacks to more than the {size} bytes that it claims")
-    return chunk
-
-
-def unpacked_message(data: bytes) -> bytes:
-    """Unpack a message that was packed by itself (``compression_mode: message``).
-
-    Raises:
-        ValueError: If it unpacks to absurdly much.
-    """
-    from rosbags.rosbag2.storage_mcap import zstd
-
-    most = allowed_bytes(len(data))
-    message: bytes = zstd.ZstdDecompressor().decompress(data, max_length=most + 1)
-    if len(message) > most:
-        raise ValueError(f"a message of {len(data)} bytes that unpacks to more than {most}")
-    return message
-
-
-def check_packed_file(path: Path) -> None:
-    """Unpack a file that was packed as a whole (``compression_mode: file``), without keeping anything, up to a bound.
-
-    Raises:
-        FileFormatError: If it unpacks to more than 256 times its size and 64 MiB.
-    """
-    try:
-        from rosbags.rosbag2.storage_mcap import zstd
-    except ImportError as error:
-        raise MissingExtraError("rosbags", "bags", "Reading ROS 2 bags") from error
-    size, unpacked_bytes = path.stat().st_size, 0
-    most = FREE_BYTES + MOST_TIMES * size
-    try:
-        with zstd.open(path, "rb") as handle:
-            while block := handle.read(1 << 20):
-                unpacked_bytes += len(block)
-                if unpacked_bytes > most:
-                    raise FileFormatError(
-                        path, where="the file", expected=f"at most {most} bytes when unpacked", got="more"
-                    )
-    except (OSError, EOFError, zstd.ZstdError) as error:
-        raise FileFormatError(path, where="the file", expected="a file packed with zstd", got=str(error)) from error

@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import FARTHEST_M, check_yaw, is_name
 
-_MAX_BYTES = 1 << 28
 _LARGEST = 1e9
 _CELLS = 10
 _POSE_COLUMNS = 13
@@ -46,22 +46,32 @@ def read_boreas_objects(path: Path | str) -> BoreasObjects:
     Raises:
         FileFormatError: If a line has another form.
     """
-    names, rows = [], []
-    text = read_bytes(path, max_bytes=_MAX_BYTES).decode("ascii", "replace")
-    for number, line in enumerate(text.splitlines(), start=1):
+    names: dict[str, str] = {}
+    rows = []
+    for number, line in enumerate(_text(path).splitlines(), start=1):
         fields = line.split()
         if not fields:
             continue
         values = _numbers(fields[2:]) if len(fields) == _CELLS else None
-        if values is None or min(values[:3]) <= 0 or values[7] < 0:
+        counted = values is not None and values[7] == int(values[7]) >= 0
+        if (
+            values is None
+            or not counted
+            or min(values[:3]) <= 0
+            or max(map(abs, values[3:6])) > FARTHEST_M
+            or not (is_name(fields[0]) and is_name(fields[1]))
+        ):
             expected = "uuid, class, positive length width height, x y z, yaw, number of points"
             raise FileFormatError(path, where=f"line {number}", expected=expected, got=line[:100])
-        names.append((fields[0], fields[1]))
+        if fields[0] in names:
+            raise FileFormatError(path, where=f"line {number}", expected="each uuid once", got=fields[0][:100])
+        check_yaw(values[6], path, f"line {number}")
+        names[fields[0]] = fields[1]
         rows.append(values)
     table = np.array(rows, dtype=np.float64).reshape(-1, _CELLS - 2)
     return BoreasObjects(
-        uuid=tuple(uuid for uuid, _ in names),
-        label=tuple(label for _, label in names),
+        uuid=tuple(names),
+        label=tuple(names.values()),
         size_m=table[:, :3],
         centre_m=table[:, 3:6],
         yaw_rad=table[:, 6],
@@ -76,8 +86,7 @@ def read_boreas_poses(path: Path | str) -> tuple[Int[np.ndarray, " n"], Float[np
         FileFormatError: If a line has another form.
     """
     times, rows = [], []
-    text = read_bytes(path, max_bytes=_MAX_BYTES).decode("ascii", "replace")
-    for number, line in enumerate(text.splitlines()[1:], start=2):
+    for number, line in enumerate(_text(path).splitlines()[1:], start=2):
         cells = line.split(",")
         values = _numbers(cells[1:]) if len(cells) == _POSE_COLUMNS else None
         if values is None or not (cells[0].isdigit() and len(cells[0]) <= 16):
@@ -101,9 +110,18 @@ def _about(axis: int, angle_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "
     return out
 
 
+def _text(path: Path | str) -> str:
+    data = read_bytes(path)
+    try:
+        return data.decode("ascii")
+    except UnicodeDecodeError as error:
+        actual = f"byte 0x{data[error.start]:02x}"
+        raise FileFormatError(path, where=f"byte {error.start}", expected="ASCII text", got=actual) from None
+
+
 def _numbers(fields: list[str]) -> list[float] | None:
     try:
-        values = [float(word) for word in fields]
+        values = [] if "_" in "".join(fields) else [float(word) for word in fields]
     except ValueError:
         return None
-    return values if all(abs(value) < _LARGEST for value in values) else None
+    return values if values and all(abs(value) < _LARGEST for value in values) else None

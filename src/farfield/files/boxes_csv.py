@@ -22,8 +22,8 @@ from jaxtyping import Float, Int, Shaped
 
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import open_atomic, read_bytes
+from farfield.files.limits import check_name
 
-MAX_CSV_BYTES = 1 << 28
 MOST_COUNT = 1 << 53
 """Whole numbers from here on are not all told apart in float64."""
 _NUMBERS = ("x", "y", "z", "l", "w", "h", "yaw_rad")
@@ -90,7 +90,7 @@ def read_boxes_csv(path: Path | str) -> BoxRows:
             and positive sizes, or only some rows have a score, or a row has a part of a velocity, or two have different
             references.
     """
-    return parse_boxes_csv(read_bytes(path, max_bytes=MAX_CSV_BYTES), path)
+    return parse_boxes_csv(read_bytes(path), path)
 
 
 def parse_boxes_csv(data: bytes, path: Path | str) -> BoxRows:
@@ -113,6 +113,7 @@ def parse_boxes_csv(data: bytes, path: Path | str) -> BoxRows:
             if name in texts:
                 if not text or not text.isprintable():
                     raise _wrong(path, line, f"a {name} on one line", repr(text[:40]) if text else "an empty cell")
+                check_name(path, f"line {line}, {name}", text)
                 if name in ("sequence", "frame") and spellings.setdefault((name, text), written) != written:
                     expected = f"each {name} spelt in one way: blanks about a name are no part of it"
                     raise _wrong(path, line, expected, f"{written!r} and {spellings[name, text]!r}")
@@ -257,7 +258,7 @@ def _number(path: Path | str, line: int, name: str, text: str) -> float:
     if not text and name in (*_OPTIONAL, *_VELOCITY):
         return -1.0 if name in _COUNTS else math.nan
     try:
-        value = math.nan if "_" in text else float(text)
+        value = float(text) if text.isascii() and "_" not in text else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -15,8 +15,8 @@ from jaxtyping import Float, Int64
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
+from farfield.files.limits import open_file
 
-MAX_BYTES = 1 << 28
 _LONGEST_LINE = 1000
 _HEAD = r"\b(?P<program>ptp4l|phc2sys)(?:\[\d{1,9}\])?:?\s*\[(?P<s>\d{1,12})\.(?P<fraction>\d{1,9})\]:?\s"
 _OFFSET = re.compile(
@@ -63,7 +63,7 @@ class ClockLog:
 
 def is_clock_log(path: Path) -> bool:
     """Whether a line among the first few kilobytes names one of the programs in the form that they print."""
-    with path.open("rb") as handle:
+    with open_file(path, max_bytes=None) as handle:
         return re.search(_HEAD, handle.read(8192).decode("utf-8", "replace")) is not None
 
 
@@ -76,7 +76,7 @@ def read_clock_log(path: Path | str) -> ClockLog:
     """
     path = Path(path)
     rows, others, kinds = [], 0, set()
-    for number, line in enumerate(read_bytes(path, max_bytes=MAX_BYTES).splitlines(), start=1):
+    for number, line in enumerate(read_bytes(path).splitlines(), start=1):
         if len(line) > _LONGEST_LINE:
             raise _wrong(path, number, f"at most {_LONGEST_LINE} characters", f"{len(line)}")
         text = line.decode("utf-8", "replace")

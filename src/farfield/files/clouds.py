@@ -2,11 +2,12 @@
 
 A cache file is: the magic ``FFCLOUD1``; the header's length (uint32, little-endian); the header, JSON; then the columns
 one after another, little-endian, C order, without gaps. The header names each column with its dtype and shape and gives
-the CRC-32 of all columns' bytes.
+the CRC-32 of all columns' bytes, and under ``source`` size and CRC-32 of the file that they were read from, if any.
 """
 
 import json
 import math
+import sys
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,12 +18,13 @@ import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
 from farfield.errors import FileFormatError, plain
-from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
+from farfield.files.atomic import open_atomic, read_bytes
+from farfield.files.json_text import plain_json
+from farfield.files.limits import MAX_BYTES, is_addressable, open_file
 
 CACHE_SUFFIX = ".ffcloud"
 _MAGIC = b"FFCLOUD1"
 _HEADER_BYTES = 1 << 20
-_MAX_SIDE = 1 << 40
 _DTYPES = frozenset(["|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8"])
 
 
@@ -76,10 +78,17 @@ def read_bin(
 
 def _refuse_other_cloud(path: Path | str, data: bytes) -> None:
     """Refuse a cloud of another format under the name of a ``.bin``: its bytes would be read as float32."""
-    marks = {b"\x93NUMPY": ".npy", b"# .PCD": ".pcd", b"VERSION": ".pcd", _MAGIC: ".ffcloud", b"ply": ".ply"}
+    marks = {
+        b"\x93NUMPY": ".npy",
+        b"# .PCD": ".pcd",
+        b"VERSION": ".pcd",
+        _MAGIC: ".ffcloud",
+        b"ply": ".ply",
+        b"LASF": ".las",
+    }
     suffix = next((suffix for mark, suffix in marks.items() if data.startswith(mark)), "")
     if suffix:
-        name = {".pcd": "a PCD", ".ply": "a PLY"}.get(suffix, f"a file of the kind {suffix}")
+        name = {".pcd": "a PCD", ".ply": "a PLY", ".las": "a LAS"}.get(suffix, f"a file of the kind {suffix}")
         fix = f"Give it its own suffix, {suffix}."
         raise FileFormatError(path, where="byte 0", expected="float32 without a header", got=name, fix=fix)
 
@@ -97,15 +106,17 @@ def write_bin(path: Path | str, rows: Float32[np.ndarray, "n c"]) -> None:
         handle.write(rows.tobytes())
 
 
-def write_cache(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
+def write_cache(path: Path | str, columns: Mapping[str, np.ndarray], *, source: tuple[int, int] | None = None) -> None:
     """Write named arrays of any numeric or boolean dtype and any shape as a cache file, all or nothing.
 
     Args:
         path: The file to write, by custom ``*.ffcloud``.
         columns: Arrays by name.
+        source: Size and CRC-32 of the file that they were read from.
 
     Raises:
         ValueError: If an array is neither numeric nor boolean.
+        FileFormatError: If they are more than :func:`read_cache` takes.
     """
     arrays = {name: np.asarray(array) for name, array in columns.items()}
     arrays = {name: array.astype(array.dtype.newbyteorder("<"), order="C") for name, array in arrays.items()}
@@ -114,8 +125,17 @@ def write_cache(path: Path | str, columns: Mapping[str, np.ndarray]) -> None:
         if array.dtype.str not in _DTYPES:
             raise ValueError(f"write_cache: expected numbers in column {name!r}, got dtype {array.dtype}")
         checksum = zlib.crc32(array.tobytes(), checksum)
+    if (total := sum(array.nbytes for array in arrays.values()) + _HEADER_BYTES) > MAX_BYTES:
+        raise FileFormatError(
+            path,
+            where="the columns",
+            expected=f"at most {MAX_BYTES} bytes",
+            got=f"{total} bytes",
+            fix="Nothing could read it again; it was not written. Read the cloud without a cache.",
+        )
     table = [{"name": name, "dtype": array.dtype.str, "shape": array.shape} for name, array in arrays.items()]
-    header = json.dumps({"columns": table, "crc32": checksum}).encode("utf-8")
+    head = {"columns": table, "crc32": checksum, **({} if source is None else {"source": source})}
+    header = json.dumps(head).encode("utf-8")
     with open_atomic(path) as handle:
         handle.write(_MAGIC + len(header).to_bytes(4, "little") + header)
         for array in arrays.values():
@@ -164,18 +184,34 @@ def read_cache(path: Path | str, *, max_bytes: int = MAX_BYTES) -> dict[str, np.
     return arrays
 
 
+def cache_source(path: Path | str) -> tuple[int, int] | None:
+    """Size and CRC-32 of the file that a cache file was made of; None where it does not say it, or is no cache file.
+
+    Args:
+        path: The file, of which the header alone is read.
+    """
+    try:
+        with open_file(path, max_bytes=sys.maxsize) as handle:
+            magic, length = handle.read(len(_MAGIC)), int.from_bytes(handle.read(4), "little")
+            head = plain_json(handle.read(min(length, _HEADER_BYTES))) if magic == _MAGIC else {}
+        size, checksum = (int(number) for number in head["source"])
+    except (OSError, FileFormatError, ValueError, RecursionError, KeyError, TypeError):
+        return None
+    return size, checksum
+
+
 def _bytes_of(column: Mapping[str, Any]) -> int:
     return math.prod(column["shape"]) * np.dtype(column["dtype"]).itemsize
 
 
 def _parse_header(text: bytes, *, path: Path | str) -> tuple[list[dict[str, Any]], int]:
     try:
-        header = json.loads(text.decode("utf-8"))
+        header = plain_json(text)
         table, checksum = header["columns"], header["crc32"]
         names = [column["name"] for column in table]
         good = isinstance(checksum, int) and len(set(names)) == len(names)
         good = good and all(_is_column(column) for column in table)
-    except (ValueError, RecursionError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise FileFormatError(path, where="byte 12", expected="a JSON header", got=plain(error)) from error
     if not good:
         expected = "columns with unique names, known dtypes and shapes"
@@ -190,7 +226,8 @@ def _is_column(column: Mapping[str, Any]) -> bool:
         and column["dtype"] in _DTYPES
         and isinstance(shape, list)
         and len(shape) <= 8
-        and all(type(side) is int and 0 <= side <= _MAX_SIDE for side in shape)
+        and all(type(side) is int for side in shape)
+        and is_addressable(shape, np.dtype(column["dtype"]).itemsize)
     )
 
 
@@ -211,7 +248,8 @@ _BINS = 48
 _FARTHEST_M = 1e4
 _ALIKE = 0.1  # mean Kolmogorov distance of columns that hold the same quantity
 _CLEAR = 0.05  # nats: what the best has to have, and to be ahead of one that is no divisor of it
-_MOST_RINGS = 512
+MOST_RINGS = 512
+"""Of a column of whole numbers that is taken for rings, as no sensor has more today."""
 _FEW = 0.01  # share of negative numbers in a damaged column of intensities
 _LEAST_BRIGHT = 129  # the brightest value of a colour, more than the most rings of a usual LiDAR
 
@@ -290,6 +328,7 @@ def _doubt(path: Path | str, counts: list[int]) -> FileFormatError:
     )
 
 
+@np.errstate(invalid="ignore")  # numbers of another kind
 def _told(values: Float32[np.ndarray, " n"], count: int) -> float:
     """Mutual information of value and column in nats, less what chance alone gives."""
     used = _spread(values[: len(values) // count * count]).astype(np.float64)
@@ -304,6 +343,7 @@ def _told(values: Float32[np.ndarray, " n"], count: int) -> float:
     return float((joint[filled] * np.log(joint[filled] / independent[filled])).sum()) - chance
 
 
+@np.errstate(invalid="ignore")
 def _repeats(values: Float32[np.ndarray, " n"], count: int, multiple: int) -> float:
     """How far the columns that a number of columns puts together differ: mean Kolmogorov distance, 0 to 1."""
     if count == multiple:
@@ -383,5 +423,9 @@ def _colours_or_normals(three: Shaped[np.ndarray, "n 3"]) -> tuple[str, ...]:
 def _is_ring(column: Float[np.ndarray, " n"]) -> bool:
     is_integer = np.isfinite(column).all() and bool((column == np.rint(column)).all())
     return bool(
-        is_integer and column.min() >= 0 and 2 < len(np.unique(column)) <= _MOST_RINGS and column.max() < _MOST_RINGS
+        len(column)
+        and is_integer
+        and column.min() >= 0
+        and 2 < len(np.unique(column)) <= MOST_RINGS
+        and column.max() < MOST_RINGS
     )

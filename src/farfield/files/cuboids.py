@@ -6,12 +6,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+from jaxtyping import Float
+
 from farfield.errors import FileFormatError
 from farfield.files.json_text import finite
+from farfield.files.limits import MAX_NAME
 
 Value = str | float | bool
 _FARTHEST_M, _LEAST_M, _LARGEST_M = 1e5, 1e-4, 1e3
 _MOST_YAW, _MOST_TILT = 4 * math.pi, 0.5  # radians
+_MOST_NORM_ERROR = 0.1
+FARTHEST_M = 1e7
+"""No map is larger: a place beyond is none in metres."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -112,6 +119,42 @@ def check_yaw(yaw_rad: float, path: Path | str, where: str) -> None:
         raise FileFormatError(path, where=where, expected="a yaw in radians", got=f"{yaw_rad:g}", fix=fix)
 
 
+def check_turns(
+    quaternion_xyzw: Float[np.ndarray, "n 4"], path: Path | str, where: str, *, upright: bool = True
+) -> None:
+    """Refuse quaternions that are no turn of a box on a road: of another length than 1, or of a box on its side.
+
+    Another order of the four numbers turns upright boxes over, unless they head along x.
+
+    Args:
+        quaternion_xyzw: One a box, finite.
+        path: The file, for messages.
+        where: The place of a box in it, such as ``"label {}"``.
+        upright: Whether boxes have to stand upright.
+
+    Raises:
+        FileFormatError: If one is such.
+    """
+    norm = np.linalg.norm(quaternion_xyzw, axis=1)
+    for row in np.flatnonzero(np.abs(norm - 1) > _MOST_NORM_ERROR)[:1].tolist():
+        actual = repr(quaternion_xyzw[row].tolist())
+        raise FileFormatError(path, where=where.format(row), expected="a quaternion of length 1", got=actual)
+    up = 1 - 2 * (quaternion_xyzw[:, :2] ** 2).sum(axis=1) / norm**2
+    for row in np.flatnonzero(upright & (up < math.cos(_MOST_TILT)))[:1].tolist():
+        raise FileFormatError(
+            path,
+            where=where.format(row),
+            expected=f"a box that stands upright: roll and pitch within {_MOST_TILT} rad",
+            got=f"the quaternion {quaternion_xyzw[row].tolist()} (x, y, z, w)",
+            fix="Its four numbers may stand in another order, with w first or last.",
+        )
+
+
+def is_name(value: Any) -> bool:
+    """Whether a value is a text on one line that is not blank, as names of classes and tracks are."""
+    return isinstance(value, str) and bool(value.strip()) and value.isprintable()
+
+
 def word(value: Any, path: Path | str, where: str, name: str) -> str:
     """A text of 1 to 200 characters on one line; a whole number does as well.
 
@@ -119,7 +162,7 @@ def word(value: Any, path: Path | str, where: str, name: str) -> str:
         FileFormatError: If it is anything else.
     """
     text = str(value) if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**18 else value
-    if not isinstance(text, str) or not 0 < len(text) <= 200 or not text.isprintable():
+    if not isinstance(text, str) or not 0 < len(text) <= MAX_NAME or not text.isprintable():
         raise FileFormatError(path, where=where, expected=f"a text as {name}", got=repr(value)[:80])
     return text
 
@@ -136,5 +179,5 @@ def attributes_of(value: Any) -> dict[str, Value]:
     if not isinstance(value, Mapping):
         return {}
     plain = {str(name): entry for name, entry in value.items() if isinstance(entry, str | bool)}
-    counted = {str(name): number for name, entry in value.items() if (number := finite(entry)) is not None}
+    counted = {str(name): number for name, entry in value.items() if (number := finite(entry, limit=1e300)) is not None}
     return plain | counted

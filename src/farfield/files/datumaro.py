@@ -18,7 +18,7 @@ from typing import Any
 
 from farfield.errors import FileFormatError
 from farfield.files.cuboids import Cuboid, CuboidEntry, attributes_of, checked, numbers, word, wrapped
-from farfield.files.json_text import append, parse_json
+from farfield.files.json_text import append, finite, parse_json, plain_json
 
 KIND = "cuboid_3d"
 
@@ -83,15 +83,27 @@ def _cuboid(entry: Mapping[str, Any], frame: str, names: Sequence[str], path: Pa
     if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(names):
         raise FileFormatError(path, where=where, expected=f"label_id below {len(names)}", got=repr(number)[:80])
     centre, turn, size = (numbers(entry.get(key), 3, path, where, key) for key in ("position", "rotation", "scale"))
-    attributes = attributes_of(entry.get("attributes"))
-    track = attributes.pop("track_id", "")
+    own = entry.get("attributes")
+    track = _track_name(own.get("track_id") if isinstance(own, Mapping) else None, path, where)
+    attributes = {name: value for name, value in attributes_of(own).items() if name != "track_id"}
     return Cuboid(
         frame=frame,
         label=names[number],
         box=checked(centre, size, turn[2], path, where, tilt_rad=turn[:2]),
-        track=str(int(track)) if isinstance(track, float) and track >= 0 else track if isinstance(track, str) else "",
+        track=track,
         attributes=attributes,
     )
+
+
+def _track_name(value: Any, path: Path | str, where: str) -> str:
+    """A track's name or number as text; empty where there is none, or -1."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    number = finite(value, limit=2.0**53)
+    if number is None or number != int(number) or number < -1:
+        expected = "a whole number from -1 on, or a name, as track_id"
+        raise FileFormatError(path, where=where, expected=expected, got=repr(value)[:80])
+    return str(int(number)) if number >= 0 else ""
 
 
 def values(cuboid: Cuboid, names: Sequence[str]) -> Mapping[tuple[str | int, ...], Any]:
@@ -129,7 +141,7 @@ def _track(track: str) -> int | str:
 
 def with_class(text: str, label: str) -> str:
     """A file's text that knows a class more; the same where it knows it."""
-    names = class_names(json.loads(text.removeprefix("\ufeff")), "")
+    names = class_names(plain_json(text), "")
     if label in names:
         return text
     return append(text, ("categories", "label", "labels"), {"name": label, "parent": "", "attributes": []})
@@ -137,7 +149,7 @@ def with_class(text: str, label: str) -> str:
 
 def with_new(text: str, cuboid: Cuboid) -> str:
     """A file's text with a cuboid more, of a class that it knows; a frame that is not there is added."""
-    content = json.loads(text.removeprefix("\ufeff"))
+    content = plain_json(text)
     frames = [frame_name(item, "", f"item {number}") for number, item in enumerate(content["items"])]
     if cuboid.frame not in frames:
         text = append(text, ("items",), _item(cuboid.frame, len(frames), []))

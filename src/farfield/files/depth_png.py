@@ -18,7 +18,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import open_atomic, read_bytes
-from farfield.files.images import MAX_PIXELS
+from farfield.files.limits import MAX_PIXELS
 
 KITTI_SCALE = 256
 """Steps a metre in KITTI's files."""
@@ -26,7 +26,7 @@ KITTI_SCALE = 256
 FAR_SCALE = 128
 """Steps a metre where 255.996 m are not enough: 7.8 mm, to 511.992 m."""
 
-_SCALE, _LARGEST, _MAX_BYTES = "depth_scale", 65535, 1 << 28
+_SCALE, _LARGEST = "depth_scale", 65535
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> DepthImage:
     Raises:
         FileFormatError: If the file is no 16-bit grey PNG, is damaged, has too many pixels, or names no such scale.
     """
-    data = io.BytesIO(read_bytes(path, max_bytes=_MAX_BYTES))
+    data = io.BytesIO(read_bytes(path))
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(data, formats=("PNG",)) as image:
             _check(path, image, max_pixels)

@@ -3,6 +3,7 @@
 import pickle
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -58,7 +59,8 @@ class DiskDict(MutableMapping[K, V]):
 
     def __del__(self) -> None:
         if hasattr(self, "_file"):  # it may have failed to open
-            self._file.close()
+            with suppress(OSError):  # on a full disk what waits cannot be written, and nobody is going to read it
+                self._file.close()
 
 
 class MappedView(Mapping[K, W], Generic[K, V, W]):

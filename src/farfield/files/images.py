@@ -12,11 +12,13 @@ from PIL import Image, ImageOps
 
 from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import open_atomic, read_bytes
+from farfield.files.limits import MAX_PIXELS, MAX_SCANNED_PIXELS
 from farfield.files.stand_ins import check_itself
 
-MAX_PIXELS = 100_000_000  # 300 MB in memory
-_MAX_IMAGE_BYTES = 1 << 28
 _FORMATS = {".jpg": "JPEG", ".jpeg": "JPEG", ".png": "PNG"}
+
+
+_SCAN = b"\xff\xda"  # begins each scan; within one a byte 0xff is followed by 0 or a restart
 
 
 def read_image(
@@ -35,7 +37,7 @@ def read_image(
     Raises:
         FileFormatError: If the file is no such image, is truncated, or has too many pixels.
     """
-    data = io.BytesIO(read_bytes(path, max_bytes=_MAX_IMAGE_BYTES))
+    data = io.BytesIO(read_bytes(path))
     return decode_image(data, path, max_pixels=max_pixels, upright=upright)
 
 
@@ -55,7 +57,11 @@ def decode_image(
             if image.width * image.height > max_pixels:  # Pillow has read the header only
                 expected, actual = f"at most {max_pixels} pixels", f"{image.width} x {image.height}"
                 raise FileFormatError(path, where="the image header", expected=expected, got=actual)
-            return np.array(_as_rgb(ImageOps.exif_transpose(image) if upright else image))
+            scans = bytes(data.getbuffer()).count(_SCAN) if image.format != "PNG" else 1
+            if scans * image.width * image.height > MAX_SCANNED_PIXELS:
+                expected, actual = f"at most {MAX_SCANNED_PIXELS} pixels in all its scans", f"{scans} scans"
+                raise FileFormatError(path, where="the image", expected=expected, got=actual)
+            return _as_array(ImageOps.exif_transpose(image) if upright else image)
     except (OSError, SyntaxError, ValueError, KeyError, TypeError, struct.error, Image.DecompressionBombError) as error:
         actual = f"{str(error)[:200]} ({len(data.getbuffer())} bytes)"
         raise FileFormatError(path, where="the image", expected="a whole JPEG or PNG", got=actual) from error
@@ -74,6 +80,21 @@ def image_size(path: Path | str) -> tuple[int, int]:
     except (OSError, SyntaxError, ValueError, KeyError, TypeError, struct.error, Image.DecompressionBombError) as error:
         actual = str(error)[:200]
         raise FileFormatError(path, where="the image", expected="a JPEG or PNG", got=actual) from error
+
+
+_STRIP_PIXELS = 1 << 24
+
+
+def _as_array(image: Image.Image) -> UInt8[np.ndarray, "height width 3"]:
+    """The picture in RGB, converted in strips: Pillow's copies take four bytes a pixel each."""
+    rows = max(1, _STRIP_PIXELS // max(image.width, 1))
+    if rows >= image.height:
+        return np.array(_as_rgb(image))
+    array = np.empty((image.height, image.width, 3), dtype=np.uint8)
+    for top in range(0, image.height, rows):
+        bottom = min(top + rows, image.height)
+        array[top:bottom] = np.asarray(_as_rgb(image.crop((0, top, image.width, bottom))))
+    return array
 
 
 def _as_rgb(image: Image.Image) -> Image.Image:

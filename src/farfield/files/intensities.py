@@ -52,17 +52,23 @@ def scaled_intensity(
         FileFormatError: If one is not finite, negative or beyond the scale.
     """
     values = np.asarray(strength, dtype=np.float32)
-    wrong = values[~np.isfinite(values)]
-    if not len(wrong) and len(values) and (values.min() < 0 or values.max() > scale * (1 + 1e-5)):
-        wrong = np.array([values.min(), values.max()])
-    if len(wrong):
-        full = float(values.max(initial=1.0, where=np.isfinite(values)))
+    impossible = values[~(np.isfinite(values) & (values >= 0))]
+    if len(impossible):
         raise FileFormatError(
             path,
             where="the intensity column",
-            expected=f"finite values from 0 to {scale:g}",
-            got=" to ".join(f"{value:g}" for value in wrong[:2]),
+            expected="finite values of 0 or more",
+            got=f"{len(impossible)} of {len(values)} that are none, such as {impossible[0]:g}",
+            fix="Write 0 where the strength is not known, linear numbers for decibels, or no such column.",
+        )
+    largest = float(values.max(initial=0.0))
+    if largest > scale * (1 + 1e-5):
+        raise FileFormatError(
+            path,
+            where="the intensity column",
+            expected=f"values from 0 to {scale:g}",
+            got=f"values to {largest:g}",
             fix="Give the value that stands for full reflectance in all clouds, such as --intensity-scale "
-            f"{full:.6g} (in Python and experiments intensity_scale={full:.6g}), or mend the column.",
+            f"{largest:.6g} (in Python and experiments intensity_scale={largest:.6g}), or mend the column.",
         )
     return np.clip(values / np.float32(scale), 0.0, 1.0)

@@ -15,6 +15,8 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.cuboids import is_name
+from farfield.files.limits import check_name
 
 MAX_TEXT_BYTES = 1 << 26  # KITTI's largest label file has 2 MB
 DETECTION_TYPES = {1: "Pedestrian", 2: "Car", 3: "Cyclist"}
@@ -214,6 +216,8 @@ def _numbered(data: bytes, path: Path | str) -> list[tuple[int, str]]:
     except UnicodeDecodeError as error:
         actual = f"byte 0x{data[error.start]:02x}"
         raise FileFormatError(path, where=f"byte {error.start}", expected="ASCII text", got=actual) from None
+    if "\0" in text:  # as a disk leaves it that lost its power
+        raise FileFormatError(path, where=f"byte {text.index(chr(0))}", expected="ASCII text", got="a zero byte")
     return [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
 
 
@@ -270,8 +274,9 @@ def _objects(path: Path | str, lines: list[int], rows: list[list[str]]) -> Kitti
     width = len(rows[0]) if rows else _LABEL_COLUMNS
     values = _numbers(path, [row[1:] for row in rows], lines, columns=width - 1)
     occlusion = _whole(path, [row[2:3] for row in rows], lines, 1)[:, 0]
+    names = [check_name(path, f"line {line}", row[0]) for row, line in zip(rows, lines, strict=True)]
     objects = KittiObjects(
-        type=np.array([row[0] for row in rows], dtype=np.str_) if rows else np.empty(0, "<U1"),
+        type=np.array(names, dtype=np.str_) if rows else np.empty(0, "<U1"),
         truncation=values[:, 0],
         occlusion=occlusion,
         alpha_rad=values[:, 2],
@@ -287,7 +292,18 @@ def _objects(path: Path | str, lines: list[int], rows: list[list[str]]) -> Kitti
 
 
 def _check_possible(path: Path | str, objects: KittiObjects) -> None:
-    """Refuse places beyond any map, sizes beyond millimetres, and turns that no writer counts."""
+    """Refuse what no writer means: places beyond any map, sizes beyond millimetres, numbers of another column."""
+    left, top, right, bottom = objects.box_px.T
+    columns: tuple[tuple[str, Any], ...] = (
+        ("a class as type", [_is_number(name) or not is_name(name) for name in objects.type.tolist()]),
+        ("a truncation from 0 to 1 (tracking: 0 to 2), or -1", (objects.truncation < -1) | (objects.truncation > 2)),
+        ("an occlusion from 0 to 3, or -1", (objects.occlusion < -1) | (objects.occlusion > 3)),
+        ("a 2D box: left, top, right, bottom", (right < left) | (bottom < top)),
+    )
+    for expected, wrong in columns:
+        for row in np.flatnonzero(wrong)[:1].tolist():
+            shown = [objects.type[row], objects.truncation[row], objects.occlusion[row], *objects.box_px[row]]
+            raise _wrong(path, int(objects.line[row]), expected, " ".join(map(str, shown)))
     limits = ((objects.bottom_m, _FARTHEST_M), (objects.size_m, _LARGEST_M), (objects.rotation_y_rad, _MOST_RAD))
     for values, most in limits:
         beyond = np.argwhere(np.abs(values) > most)
@@ -296,6 +312,15 @@ def _check_possible(path: Path | str, objects: KittiObjects) -> None:
                 f"places within {_FARTHEST_M:g} metres, sizes within {_LARGEST_M:g}, turns within {_MOST_RAD:g} rad"
             )
             raise _wrong(path, int(objects.line[beyond[0][0]]), expected, f"{values[tuple(beyond[0])]:g}")
+
+
+def _is_number(text: str) -> bool:
+    """Whether a word is a number that is no name; whole numbers are, of detectors that count their classes."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return not text.isdigit()
 
 
 def _tracks(

@@ -4,9 +4,9 @@ Nothing is allocated from a claimed size alone: what the header of an array says
 MATLAB stores arrays with the first axis fastest; they come back as such views, and are written from any memory order.
 """
 
+import itertools
 import math
 import os
-import stat
 import zlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Shaped
 
 from farfield.errors import FileFormatError
-from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
+from farfield.files.atomic import open_atomic, read_bytes
+from farfield.files.limits import MAX_TENSOR_BYTES, is_addressable, open_file
 from farfield.files.stand_ins import check_itself
 
 _MAX_NAME_BYTES = 63  # MATLAB's namelengthmax
@@ -35,7 +36,7 @@ class _Element:
     offset: int
 
 
-def read_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Shaped[np.ndarray, "..."]:
+def read_mat(path: Path | str, name: str, *, max_bytes: int = MAX_TENSOR_BYTES) -> Shaped[np.ndarray, "..."]:
     """Read one real numeric array.
 
     Args:
@@ -54,9 +55,12 @@ def read_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Shap
     check_header(data, path)
     names = []
     for element in _elements(memoryview(data)[HEADER_BYTES:], HEADER_BYTES, path):
-        matrix = _expanded(element, max_bytes, path) if element.kind == COMPRESSED else element
-        if matrix.kind != MATRIX:
+        if element.kind not in (MATRIX, COMPRESSED):
             continue
+        if element.kind == COMPRESSED and (other := _other_name(element, name, path)):
+            names.append(other)
+            continue
+        matrix = _expanded(element, max_bytes, path) if element.kind == COMPRESSED else element
         parts = _elements(matrix.data, matrix.offset, path)
         flags, shape, called = (next(parts, None) for _ in range(3))
         if flags is None or shape is None or called is None:
@@ -94,6 +98,18 @@ def _elements(data: memoryview, offset: int, path: Path | str) -> Iterator[_Elem
         at = at + 8 if small else end if kind == COMPRESSED else end + -end % 8
 
 
+def _other_name(element: _Element, name: str, path: Path | str) -> str:
+    """The name of a packed array, if it is another, of which no more is unpacked; empty where it may be the one."""
+    try:
+        head = zlib.decompressobj().decompress(bytes(element.data[:4096]), 8 + _MAX_HEAD_BYTES)
+        parts = _elements(memoryview(head + bytes(_MAX_HEAD_BYTES))[8:], element.offset, path)
+        called = next(itertools.islice(parts, 2, None), None)
+    except (zlib.error, FileFormatError):  # which the whole array shows
+        return ""
+    text = "" if called is None else bytes(called.data[: _MAX_NAME_BYTES + 1]).decode("ascii", errors="replace")
+    return text if text != name else ""
+
+
 def _expanded(element: _Element, max_bytes: int, path: Path | str) -> _Element:
     """Expand a compressed element; what it holds is one element with its own tag."""
     expected = "a compressed array"
@@ -122,7 +138,7 @@ def _array(flags: _Element, shape: _Element, real: _Element | None, path: Path |
         raise _fault(path, shape, f"2 to {MAX_AXES} dimensions", f"{len(shape.data)} bytes of type {shape.kind}")
     sides = [int(side) for side in np.frombuffer(shape.data, dtype="<i4")]
     stored = np.dtype("<" + STORED[real.kind])
-    if min(sides) < 0 or math.prod(sides) * stored.itemsize != len(real.data):
+    if not is_addressable(sides, 8) or math.prod(sides) * stored.itemsize != len(real.data):
         expected = f"{' x '.join(map(str, sides))} numbers of {stored.itemsize} bytes"
         raise _fault(path, real, expected, f"{len(real.data)} bytes")
     values = np.frombuffer(real.data, dtype=stored).astype("<" + kind, copy=False)  # MATLAB shrinks what fits less
@@ -352,7 +368,7 @@ def _bytes_of(block: np.ndarray) -> memoryview:
 
 
 @contextmanager
-def open_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Iterator[MatStream]:
+def open_mat(path: Path | str, name: str, *, max_bytes: int = MAX_TENSOR_BYTES) -> Iterator[MatStream]:
     """Open one real numeric array of a MATLAB v5 file for reading in blocks.
 
     Args:
@@ -367,13 +383,10 @@ def open_mat(path: Path | str, name: str, *, max_bytes: int = MAX_BYTES) -> Iter
         FileFormatError: If the file is no such file, is damaged, or has no numeric array of this name.
     """
     check_itself(path)
-    with Path(path).open("rb") as handle:
-        status = os.fstat(handle.fileno())
-        if not stat.S_ISREG(status.st_mode) or status.st_size > max_bytes:
-            expected, actual = f"a regular file of at most {max_bytes} bytes", f"{status.st_size} bytes"
-            raise FileFormatError(path, where="the file", expected=expected, got=actual)
+    with open_file(path, max_bytes=max_bytes) as handle:
+        size = os.fstat(handle.fileno()).st_size
         check_header(handle.read(HEADER_BYTES), path)
-        yield _find(handle, status.st_size, name, max_bytes, path)
+        yield _find(handle, size, name, max_bytes, path)
 
 
 def _find(handle: BinaryIO, size: int, name: str, max_bytes: int, path: Path | str) -> MatStream:
@@ -450,7 +463,7 @@ def _stream_of(source: _Plain, flags: bytes, shape: bytes, left: int) -> MatStre
     sides = tuple(int(side) for side in np.frombuffer(shape, dtype="<i4"))
     dtype = np.dtype("<" + STORED[kind])
     padding = left - (4 if small else 8) - size
-    if min(sides) < 0 or math.prod(sides) * dtype.itemsize != size or not 0 <= padding < 8:
+    if not is_addressable(sides, dtype.itemsize) or math.prod(sides) * dtype.itemsize != size or not 0 <= padding < 8:
         expected = f"{' x '.join(map(str, sides))} numbers of {dtype.itemsize} bytes"
         raise source.fault(expected, f"{size} bytes, {left} with the tag")
     return MatStream(sides, dtype, padding, source)

@@ -1,8 +1,6 @@
 """nuScenes' result files: JSON of detections or of tracks by sample (format: the development kit's documentation)."""
 
-import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,15 +9,17 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.errors import FileFormatError, plain
-from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import FARTHEST_M, check_turns, is_name
+from farfield.files.json_text import read_json
+from farfield.files.limits import MAX_NAME
 
 _MAX_BYTES = 1 << 31
-_LARGEST = 1e9
+_LARGEST = FARTHEST_M
 _SAME_EGO_M = 0.5
 _KINDS = ("tracking", "detection")
 WORLD = "world"
 """Name of the coordinates in which the format's own boxes stand."""
-_Row = tuple[list[float], str, str | None]
+_Row = tuple[list[float], str, str | None, str]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,6 +34,7 @@ class NuScenesBoxes:
         score: Shape (n,).
         label: Classes, n names.
         track: Identities, n names; empty for detections.
+        attribute: Attributes, n names, empty where a box has none.
         ego_m: Where the car stood, x, y, z; None where no box says how far it is from there (``ego_translation``).
     """
 
@@ -44,6 +45,7 @@ class NuScenesBoxes:
     score: Float[np.ndarray, " n"]
     label: tuple[str, ...]
     track: tuple[str, ...]
+    attribute: tuple[str, ...] = ()
     ego_m: Float[np.ndarray, "3"] | None = None
 
 
@@ -61,33 +63,38 @@ def read_results_in(path: Path | str) -> tuple[dict[str, NuScenesBoxes], str]:
 
     The name is empty where the file does not say it; errors are those of :func:`read_results`.
     """
-    try:
-        tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", got=plain(error)) from error
+    tree = read_json(path, max_bytes=_MAX_BYTES, nan=True)  # two NaN are a velocity that is not known
     results = tree.get("results") if isinstance(tree, dict) else None
     if not isinstance(results, dict) or not all(isinstance(boxes, list) for boxes in results.values()):
         actual = "no object 'results'" if not isinstance(results, dict) else "a sample that is no list"
         raise FileFormatError(path, where="the file", expected="results: a list of boxes a sample", got=actual)
     meta = tree.get("meta")
     named = meta.get("reference") if isinstance(meta, dict) else None
-    return {token: _sample(path, token, boxes) for token, boxes in results.items()}, str(named or "")
+    if not isinstance(named, str | None):
+        raise FileFormatError(path, where="meta", expected="a text as reference", got=repr(named)[:80])
+    samples = {token: _sample(path, token, boxes) for token, boxes in results.items()}
+    tracked = {token: bool(sample.track) for token, sample in samples.items() if sample.label}
+    if len(set(tracked.values())) > 1:
+        where = f"sample {next(token for token, is_track in tracked.items() if not is_track)}"
+        raise FileFormatError(path, where=where, expected="detections or tracks, not both", got="both")
+    return samples, named or ""
 
 
 def _sample(path: Path | str, token: str, boxes: list[Any]) -> NuScenesBoxes:
     rows: list[_Row] = []
     for number, box in enumerate(boxes):
         try:
-            rows.append(_row(box))
+            rows.append(_row(box, token))
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             actual = plain(error)
             expected = "translation (3), size (3), rotation (4), a name and a score, as finite numbers"
             raise FileFormatError(path, where=f"sample {token}, box {number}", expected=expected, got=actual) from error
-    kinds = {track is None for _, _, track in rows}
+    kinds = {track is None for _, _, track, _ in rows}
     if len(kinds) > 1:
         expected = "detections or tracks, not both"
         raise FileFormatError(path, where=f"sample {token}", expected=expected, got="both")
-    table = np.array([values for values, _, _ in rows], dtype=np.float64).reshape(-1, 13)
+    table = np.array([values for values, _, _, _ in rows], dtype=np.float64).reshape(-1, 13)
+    check_turns(table[:, [7, 8, 9, 6]], path, f"sample {token.replace('{', '{{').replace('}', '}}')}, box {{}}")
     w, x, y, z = table[:, 6:10].T
     return NuScenesBoxes(
         centre_m=table[:, :3],
@@ -95,8 +102,9 @@ def _sample(path: Path | str, token: str, boxes: list[Any]) -> NuScenesBoxes:
         yaw_rad=np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z),
         velocity_m_s=table[:, 10:12],
         score=table[:, 12],
-        label=tuple(label for _, label, _ in rows),
-        track=tuple(track for _, _, track in rows if track is not None),
+        label=tuple(label for _, label, _, _ in rows),
+        track=tuple(track for _, _, track, _ in rows if track is not None),
+        attribute=tuple(attribute for _, _, _, attribute in rows),
         ego_m=_ego(path, token, boxes),
     )
 
@@ -132,8 +140,12 @@ def _ego(path: Path | str, token: str, boxes: list[Any]) -> Float[np.ndarray, "3
     return ego_m
 
 
-def _row(box: Mapping[str, Any]) -> _Row:
-    """Thirteen numbers, class and identity of a box."""
+def _row(box: Any, token: str) -> _Row:
+    """Thirteen numbers, class, identity and attribute of a box."""
+    if not isinstance(box, dict):
+        raise TypeError(f"{type(box).__name__}, no object")
+    if box.get("sample_token", token) != token:
+        raise ValueError(f"the sample_token {str(box['sample_token'])[:60]!r} of another sample")
     kind = next((kind for kind in _KINDS if f"{kind}_name" in box), _KINDS[0])
     values = [
         *_numbers(box["translation"], 3),
@@ -142,24 +154,29 @@ def _row(box: Mapping[str, Any]) -> _Row:
         *_speed(box.get("velocity", [math.nan, math.nan])),
         *_numbers([box[f"{kind}_score"]], 1),
     ]
-    if min(values[3:6]) <= 0 or not any(values[6:10]):
-        raise ValueError("a size that is not positive, or no rotation")
+    if min(values[3:6]) <= 0:
+        raise ValueError("a size that is not positive")
     label, track = box[f"{kind}_name"], box["tracking_id"] if kind == "tracking" else None
-    if not isinstance(label, str) or not (track is None or isinstance(track, str)):
+    if not is_name(label) or not (track is None or isinstance(track, str)):
         raise TypeError("a name that is no text")
-    return values, label, track
+    attribute = box.get("attribute_name", "")
+    if not (attribute == "" or is_name(attribute)):
+        raise TypeError("an attribute_name that is no text")
+    if max(len(label), len(track or ""), len(attribute)) > MAX_NAME:
+        raise ValueError(f"a name of more than {MAX_NAME} characters")
+    return values, label, track, attribute
 
 
 def _numbers(values: Any, count: int) -> list[float]:
     if not isinstance(values, list) or len(values) != count or not all(type(v) in (int, float) for v in values):
         raise TypeError(f"expected {count} numbers, got {str(values)[:60]}")
     if not all(abs(value) < _LARGEST for value in values):
-        raise ValueError(f"numbers that are not finite or above 1e9: {str(values)[:60]}")
+        raise ValueError(f"numbers that are not finite or above {_LARGEST:g}: {str(values)[:60]}")
     return [float(value) for value in values]
 
 
 def _speed(values: Any) -> list[float]:
-    """A velocity of which NaN says that it is not known."""
-    if isinstance(values, list) and any(type(v) is float and math.isnan(v) for v in values):
+    """A velocity along x and y, of which two NaN say that it is not known."""
+    if isinstance(values, list) and len(values) == 2 and all(type(v) is float and math.isnan(v) for v in values):
         return [math.nan, math.nan]
-    return _numbers(values[:2] if isinstance(values, list) else values, 2)
+    return _numbers(values, 2)

@@ -21,7 +21,7 @@ from typing import Any
 
 from farfield.errors import FileFormatError
 from farfield.files.cuboids import Cuboid, CuboidEntry, attributes_of, checked, numbers, word
-from farfield.files.json_text import append, parse_json, set_value, span
+from farfield.files.json_text import append, parse_json, plain_json, set_value, span
 
 SYSTEM = "lidar"
 _ROOT = "openlabel"
@@ -39,6 +39,7 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
         raise FileFormatError(path, where="the root", expected="an object 'openlabel'", got=repr(content)[:80])
     types = _mapping(root.get("objects", {}), path, "objects")
     cuboids: list[CuboidEntry] = []
+    lengths: set[int] = set()
     for number, frame in _mapping(root.get("frames", {}), path, "frames").items():
         frame = _mapping(frame, path, f"frame {number}")
         name = frame_name(number, frame, path)
@@ -49,6 +50,11 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
             if not isinstance(inner, list):
                 raise FileFormatError(path, where=where, expected="a list of cuboids", got=repr(inner)[:80])
             for index, cuboid in enumerate(inner):
+                value = cuboid.get("val") if isinstance(cuboid, dict) else None
+                lengths |= {len(value)} if isinstance(value, list) else set()
+                if lengths == {9, 10}:
+                    expected = "10 numbers in every val of a file, or 9 in every one"
+                    raise FileFormatError(path, where=where, expected=expected, got=repr(value)[:80])
                 steps = (_ROOT, "frames", number, "objects", uid, "object_data", "cuboid", index)
                 cuboids.append(CuboidEntry(steps, _cuboid(_mapping(cuboid, path, where), name, kind, uid, path, where)))
     return tuple(cuboids)
@@ -81,8 +87,8 @@ def _angles(quaternion: Sequence[float], path: Path | str, where: str) -> tuple[
     """Roll, pitch and yaw: yaw is the direction of the turned x axis seen from above."""
     x, y, z, w = quaternion
     norm = x * x + y * y + z * z + w * w
-    if not 1e-6 < norm < 1e6:
-        raise FileFormatError(path, where=where, expected="a quaternion", got=repr(list(quaternion)))
+    if not 0.8 < norm < 1.2:
+        raise FileFormatError(path, where=where, expected="a quaternion of length 1", got=repr(list(quaternion)))
     roll = math.atan2(2 * (w * x + y * z), norm - 2 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x) / norm)))
     return roll, pitch, math.atan2(2 * (x * y + z * w), norm - 2 * (y * y + z * z))
@@ -142,7 +148,7 @@ def with_new(text: str, cuboid: Cuboid) -> str:
         text: The file's text.
         cuboid: The cuboid; without a track it gets a uid that no object has.
     """
-    root = json.loads(text.removeprefix("\ufeff"))[_ROOT]
+    root = plain_json(text)[_ROOT]
     objects = root.get("objects", {})
     free = next(str(number) for number in range(len(objects) + 1) if str(number) not in objects)
     uid = cuboid.track or free

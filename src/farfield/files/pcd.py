@@ -15,7 +15,8 @@ from jaxtyping import Int, UInt8
 from farfield.errors import FileFormatError
 from farfield.files import ascii_table
 from farfield.files.ascii_table import parse_table
-from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
+from farfield.files.atomic import open_atomic, read_bytes
+from farfield.files.limits import MAX_BYTES, check_numbers
 
 # The header of PCD files: parsed, checked, written (Point Cloud Library, "The PCD file format", v0.5 to v0.7).
 
@@ -94,6 +95,7 @@ def parse_header(data: bytes, *, path: Path | str) -> PcdHeader:
         raise fault("COUNT", f"numbers from 1 to {_MAX_COUNT}, or 0 for padding")
     if values["DATA"] not in ([encoding] for encoding in ENCODINGS):
         raise fault("DATA", " or ".join(ENCODINGS))
+    check_numbers(path, f"line {lines.get('COUNT', lines['FIELDS'])}", sum(map(int, counts)))
     return PcdHeader(
         names=tuple(names),
         dtypes=tuple(np.dtype(f"<{_TYPE_CODES[kind]}{size}") for kind, size in zip(types, sizes, strict=True)),
@@ -175,12 +177,13 @@ _PADDING_BYTES = 1 << 16  # the Point Cloud Library may leave zeros up to the en
 _KINDS = frozenset(["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"])
 
 
-def read_pcd(path: Path | str, *, max_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
+def read_pcd(path: Path | str, *, max_bytes: int = MAX_BYTES, spare_bytes: int = 0) -> dict[str, np.ndarray]:
     """Read a PCD file.
 
     Args:
         path: The file.
         max_bytes: Largest file, and largest expanded body, that is accepted.
+        spare_bytes: So many bytes of any value may follow the points of a binary file, as one does in nuScenes' radar.
 
     Returns:
         One array a field in the file's order and dtype, shape (n,), or (n, count) where COUNT is above 1. Padding
@@ -194,6 +197,9 @@ def read_pcd(path: Path | str, *, max_bytes: int = MAX_BYTES) -> dict[str, np.nd
     if header.encoding == "binary_compressed":
         fields = _read_compressed(data, header, path, max_bytes)
     else:
+        end = header.body + header.point_bytes * header.points
+        if header.encoding == "binary" and end < len(data) <= end + spare_bytes:
+            data = data[:end]
         fields = (_read_ascii if header.encoding == "ascii" else _read_binary)(data, header, path)
     return {name: array for name, array in zip(header.names, fields, strict=True) if name != "_"}
 

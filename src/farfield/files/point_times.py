@@ -71,7 +71,7 @@ def point_time_column(names: Iterable[str]) -> str | None:
 def _named_unit(name: str) -> str | None:
     """The unit that a column's name says: ``time_ns``, ``t_us``, ``offset_ns``."""
     suffix = _SUFFIX.search(name.lower())
-    if suffix is None or name.lower()[: suffix.start()] not in _NAMES:
+    if suffix is None or name.lower() in _NAMES or name.lower()[: suffix.start()] not in _NAMES:  # times: a plural
         return None
     return _UNIT_OF_SUFFIX.get(suffix["unit"], suffix["unit"])
 
@@ -104,7 +104,7 @@ class PointTimeColumn:
         return float(np.abs(finite).max(initial=0.0)) < _NO_TIME
 
     def unit(self) -> str | None:
-        """The unit in which the times span a sweep; None where they do not differ, so that nothing shows.
+        """The unit in which the times span a sweep; None where they do not differ, or there are none.
 
         A few points need not span a sweep: they have the unit of the column's name, or of the other sweeps.
 
@@ -112,6 +112,8 @@ class PointTimeColumn:
             FileFormatError: If no unit fits, or another than that of the column's name or of the other sweeps.
         """
         likely = _named_unit(self.name) or self.usual_unit
+        if not len(self.values):
+            return likely
         span = float(self._since_first().max(initial=0.0))
         if span == 0:
             return likely

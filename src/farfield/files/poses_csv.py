@@ -15,7 +15,6 @@ from farfield.files.atomic import read_bytes, write_text
 COLUMNS = ("sequence", "frame", "reference", "time_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "state", "blind")
 STATES = ("placed", "lost", "begins")
 """Placed by fitting; lost, and placed by the motion before; at the beginning of a map, where no motion is known."""
-_MOST_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +82,7 @@ def read_poses(path: Path | str) -> PoseTable:
 
     path = Path(path)
     try:
-        lines = read_bytes(path, max_bytes=_MOST_BYTES).decode("utf-8").splitlines()
+        lines = read_bytes(path).decode("utf-8").splitlines()
         rows = list(csv.reader(lines))
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileFormatError(path, where="the file", expected="CSV in UTF-8", got=plain(error)) from error

@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from farfield.errors import FileFormatError, plain
+from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import is_name
+from farfield.files.json_text import read_json
+from farfield.files.limits import check_name
 
 MAX_TEXT_BYTES = 1 << 27
+_PICTURE_PX, _MOST_DEG = 1152, 720.0
 _FORM = "Frame: 000001 Time: 1574859771.744660272"
 
 
@@ -68,6 +72,8 @@ def read_times(path: Path | str) -> dict[int, int]:
             d.isascii() and d.isdigit() and len(d) <= n for d, n in zip(digits, limits, strict=True)
         ):
             raise FileFormatError(path, where=f"line {number}", expected=f"such as {_FORM!r}", got=repr(line[:80]))
+        if int(digits[0]) in times:
+            raise FileFormatError(path, where=f"line {number}", expected="each frame once", got=repr(line[:80]))
         times[int(digits[0])] = int(digits[1]) * 1_000_000_000 + int(digits[2])
     return times
 
@@ -78,17 +84,22 @@ def read_tracks(path: Path | str) -> RadiateTracks:
     Raises:
         FileFormatError: If it is no such list, or a box's numbers are missing or no use.
     """
-    try:
-        entries = json.loads(read_bytes(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise _wrong(path, "the file", "a JSON list of objects", plain(error)) from error
+    entries = read_json(path, max_bytes=MAX_TEXT_BYTES)
     if not isinstance(entries, list):
         raise _wrong(path, "the file", "a JSON list of objects", type(entries).__name__)
     rows: list[tuple[int, int, str, list[float]]] = []
-    for number, entry in enumerate(entries):
-        name, track_id, boxes = _object(path, number, entry)
+    objects = [_object(path, number, entry) for number, entry in enumerate(entries)]
+    turns, filled = len(objects[0][2]) if objects else 0, set[tuple[int, int]]()
+    for number, (name, track_id, boxes) in enumerate(objects):
+        if len(boxes) != turns:
+            expected = f"an entry for each radar frame, {turns} as in the objects before"
+            raise _wrong(path, f"object {number}", expected, str(len(boxes)))
         for index, box in enumerate(boxes):
-            if box:
+            if box != []:
+                if (track_id, index) in filled:
+                    expected = f"the track {track_id} once in a frame"
+                    raise _wrong(path, f"object {number}, box {index}", expected, "a second box")
+                filled.add((track_id, index))
                 rows.append((index + 1, track_id, name, _box(path, f"object {number}, box {index}", box)))
     numbers = np.array([row[3] for row in rows], dtype=np.float64).reshape(len(rows), 5)
     return RadiateTracks(
@@ -104,19 +115,24 @@ def read_tracks(path: Path | str) -> RadiateTracks:
 def _object(path: Path | str, number: int, entry: Any) -> tuple[str, int, list[Any]]:
     values = [entry.get(key) for key in ("class_name", "id", "bboxes")] if isinstance(entry, dict) else [None] * 3
     name, track_id, boxes = values
-    sound = isinstance(name, str) and isinstance(boxes, list) and type(track_id) is int and 0 <= track_id < 2**31
+    sound = is_name(name) and isinstance(boxes, list) and type(track_id) is int and 0 <= track_id < 2**31
     if not sound:
         raise _wrong(path, f"object {number}", "id, class_name and bboxes", repr(entry))
-    return str(name), int(str(track_id)), list(boxes or [])
+    return check_name(path, f"object {number}", str(name)), int(str(track_id)), list(boxes or [])
 
 
 def _box(path: Path | str, where: str, box: Any) -> list[float]:
     position = box.get("position") if isinstance(box, dict) else None
     values = [*position, box.get("rotation")] if isinstance(position, list) else []
-    if len(values) != 5 or not all(isinstance(v, int | float) and abs(v) <= 1e6 for v in values):
-        raise _wrong(path, where, "position of four numbers and rotation", repr(box))
+    if len(values) != 5 or not all(type(v) in (int, float) and abs(v) <= 1e6 for v in values):
+        raise _wrong(path, where, "position of four numbers and rotation, or an empty list", repr(box))
     if not (values[2] > 0 and values[3] > 0):
         raise _wrong(path, where, "a positive width and height", repr(box))
+    left, top, width, height, rotation = values
+    centre_px = left + width / 2, top + height / 2
+    if not all(-_PICTURE_PX <= pixel <= 2 * _PICTURE_PX for pixel in centre_px) or abs(rotation) > _MOST_DEG:
+        expected = f"a centre in pixels of the picture ({_PICTURE_PX}), a rotation in degrees within two turns"
+        raise _wrong(path, where, expected, repr(box))
     return [float(value) for value in values]
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import FileFormatError, plain
+from farfield.files.json_text import plain_json
 
 KEY = "sha256"
 """Of the metadata."""
@@ -27,7 +28,9 @@ def with_digest(data: bytes) -> bytes:
     """
     end, header = _header(data)
     header = {"__metadata__": dict(sorted({**header.pop("__metadata__", {}), KEY: _ZEROS}.items())), **header}
-    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode(
+        errors="backslashreplace"
+    )  # which JSON reads
     text += b" " * (-len(text) % 8)
     data = len(text).to_bytes(8, "little") + text + data[end:]
     return data.replace(_entry(_ZEROS), _entry(hashlib.sha256(data).hexdigest()), 1)
@@ -47,7 +50,7 @@ def metadata_of(path: Path, data: bytes) -> dict[str, str]:
         metadata = _header(data)[1].get("__metadata__") or {}
         if not all(isinstance(text, str) for text in metadata.values()):
             raise TypeError("metadata that are no texts")
-    except (ValueError, TypeError, RecursionError, AttributeError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise FileFormatError(path, where="header", expected="safetensors", got=plain(error)[:200]) from error
     return dict(metadata)
 
@@ -80,7 +83,7 @@ def check_digest(path: Path, data: bytes) -> None:
 
 def _header(data: bytes) -> tuple[int, dict[str, Any]]:
     end = 8 + int.from_bytes(data[:8], "little")
-    return end, json.loads(data[8:end])
+    return end, plain_json(data[8:end])
 
 
 def _entry(digest: str) -> bytes:

@@ -9,14 +9,15 @@ from jaxtyping import Shaped, UInt8
 
 from farfield.errors import FileFormatError
 from farfield.files.bags import guarded
-from farfield.files.images import MAX_PIXELS, decode_image
+from farfield.files.images import decode_image
+from farfield.files.limits import MAX_PIXELS, check_numbers
 
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """``PointField``'s codes."""
 
 
-def read_points(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n"]]:
-    """The columns of a cloud, row after row, in the machine's byte order; a field of several numbers is ``name_0``...
+def read_points(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """The columns of a cloud, row after row, in the machine's byte order: (n,), or (n, count) of several numbers each.
 
     Args:
         message: With the fields of the type: ``height``, ``width``, ``fields``, ``is_bigendian``, ``point_step``,
@@ -30,11 +31,12 @@ def read_points(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, 
         return _columns(message, path)
 
 
-def _columns(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n"]]:
+def _columns(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, "..."]]:
     height, width, step, row = (int(getattr(message, n)) for n in ("height", "width", "point_step", "row_step"))
     data = np.asarray(message.data, dtype=np.uint8)
     order = ">" if message.is_bigendian else "<"
-    names: dict[str, tuple[str, int]] = {}
+    fields: dict[str, tuple[Any, int]] = {}
+    check_numbers(path, "a point cloud's fields", sum(max(int(field.count), 1) for field in message.fields))
     for field in message.fields:
         code, count, offset = int(field.datatype), max(int(field.count), 1), int(field.offset)
         if code not in TYPES:
@@ -43,29 +45,33 @@ def _columns(message: Any, path: Path | str) -> dict[str, Shaped[np.ndarray, " n
         size = np.dtype(TYPES[code]).itemsize
         if offset + count * size > step:
             raise _wrong(path, f"field {field.name}", f"bytes within a point of {step}", f"{offset} + {count} x {size}")
-        for element in range(count):
-            name = field.name if count == 1 else f"{field.name}_{element}"
-            if name in names:
-                raise _wrong(path, f"field {name}", "one of each name", "two")
-            names[name] = (order + TYPES[code], offset + element * size)
-    rows = row if height > 1 else width * step
-    if width * step > rows or (height - 1) * rows + width * step > len(data) or (height and not step):
+        if field.name in fields:
+            raise _wrong(path, f"field {field.name}", "one of each name", "two")
+        kind = np.dtype(order + TYPES[code])
+        fields[str(field.name)] = (kind if count == 1 else np.dtype((kind, (count,))), offset)
+    used = width * step
+    rows = row if height > 1 or row >= used else used  # some drivers leave it 0 where there is one row
+    least, most = (height - 1) * rows + used, height * rows
+    present = min(rows, len(data))  # a filter may leave the length of a row as it was
+    left_over = height == 1 and step and present >= used + step  # whole points that the width does not count
+    if used > rows or left_over or (height and not least <= len(data) <= max(most, used)) or (height and not step):
         raise _wrong(
             path, "the sizes", f"{height} rows of {rows} bytes, {width} points of {step}", f"{len(data)} bytes"
         )
     columns: Any = {
-        "names": list(names),
-        "formats": [form for form, _ in names.values()],
-        "offsets": [offset for _, offset in names.values()],
+        "names": [*fields],
+        "formats": [kind for kind, _ in fields.values()],
+        "offsets": [offset for _, offset in fields.values()],
         "itemsize": step,
     }
     points: Any = (
         np.ndarray((height, width), np.dtype(columns), buffer=data, strides=(rows, step)) if height * width else None
     )
-    empty: Any = np.zeros(0, dtype=np.dtype(columns))
-    table = empty if points is None else points
-    native = {name: np.dtype(form).newbyteorder("=") for name, (form, _) in names.items()}
-    return {name: np.ascontiguousarray(table[name]).astype(native[name]).reshape(-1) for name in names}
+    table: Any = (np.zeros(0, dtype=np.dtype(columns)) if points is None else points).reshape(-1)
+    return {
+        name: np.ascontiguousarray(table[name]).astype(kind.base.newbyteorder("="))
+        for name, (kind, _) in fields.items()
+    }
 
 
 def _wrong(path: Path | str, where: str, expected: str, actual: str) -> FileFormatError:

@@ -1,5 +1,7 @@
 """Numbers of bytes in words, once for every message that tells how much is needed, free or written."""
 
+from farfield.vocabulary.counts import count_of
+
 _UNITS = ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
@@ -12,7 +14,7 @@ def sized(count: float | int) -> str:
     for unit_bytes, unit in _UNITS:
         if count >= 0.1 * unit_bytes:
             return f"{count / unit_bytes:.2f} {unit}"
-    return f"{count:.0f} byte{'' if round(count) == 1 else 's'}"
+    return count_of(round(count), "byte")
 
 
 def room(needed: float | int, free: float | int) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Int64, Shaped
 
 from farfield.errors import FileFormatError
+from farfield.files.limits import open_file
 from farfield.files.stand_ins import check_itself
 
 Unit = Literal["auto", "s", "ms", "us", "ns"]
@@ -25,6 +26,7 @@ _NUMBER = re.compile(rb"-?\d{1,19}(?:\.\d{1,30})?\s*$")
 _DATE = re.compile(rb"\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d{1,9})?(Z|[+-]\d\d:?\d\d)?\s*$")
 _RADIATE = re.compile(rb"Frame: \d{1,9} Time: \d{1,12}\.\d{1,9}\s*$")
 _COLUMNS = ("time_ns", "timestamp_ns", "stamp_ns", "time_us", "time_ms", "time_s", "timestamp", "stamp", "time", "t")
+_NAMED = re.compile(r"[1-9][0-9]{15,18}")
 _LATEST_NS = 5 * 10**18 - 1  # leaves room to add a tolerance
 _SUFFIX = re.compile(r"_(ns|us|ms|s)$")
 
@@ -57,15 +59,15 @@ class StampList:
 def recognise_stamps(path: Path | str, *, unit: Unit = "auto") -> StampList | None:
     """Say how a text file's stamps are read, or None where it is no list of stamps.
 
-    Integers without a unit in the header are taken as the unit that puts them after 1973, numbers with a point as
-    seconds.
+    Integers without a unit in the header are taken as the unit that :func:`_unit_of` gives their digits, numbers
+    with a point as seconds.
 
     Raises:
         FileFormatError: If it is a list of whole numbers that fit no unit.
     """
     path = Path(path)
     check_itself(path)
-    with path.open("rb") as handle:
+    with open_file(path, max_bytes=None) as handle:
         first, second = handle.readline(LONGEST_LINE), handle.readline(LONGEST_LINE)
     if _RADIATE.match(first):
         return StampList(path, "radiate")
@@ -90,13 +92,31 @@ def _unit(path: Path, name: str, number: bytes, unit: Unit) -> tuple[Literal["s"
     if b"." in number:
         return "s", False
     size = len(number.strip().lstrip(b"-"))
-    for which, digits in (("ns", 18), ("us", 15), ("ms", 12), ("s", 9)):
-        if size >= digits:
-            return which, True  # type: ignore[return-value]
+    if (of_size := _unit_of(size)) is not None:
+        return of_size, True
     raise FileFormatError(
         path, where="the first stamp", expected="a number whose unit shows: Unix time, or seconds with a point",
         got=number.decode("ascii", "replace").strip(), fix="Say the unit: --unit ns, us, ms or s.",
     )  # fmt: skip
+
+
+def _unit_of(digits: int) -> Literal["s", "ms", "us", "ns"] | None:
+    """The unit in which a whole number of so many digits is a time after 1973 (of 17, after May 1970); None for few."""
+    sizes: tuple[tuple[Literal["s", "ms", "us", "ns"], int], ...] = (("ns", 17), ("us", 15), ("ms", 12), ("s", 9))
+    return next((unit for unit, least in sizes if digits >= least), None)
+
+
+def name_time_ns(name: str) -> int | None:
+    """Unix time in nanoseconds that the name of a file or frame is, by the rule of lists of stamps; None if it is none.
+
+    Names of 16 to 19 digits are times; shorter ones, and those that begin with 0, are numbers of frames.
+
+    >>> name_time_ns("1558131117608556768"), name_time_ns("1558131117608556"), name_time_ns("0000000000000001")
+    (1558131117608556768, 1558131117608556000, None)
+    """
+    unit = _unit_of(len(name)) if _NAMED.fullmatch(name) else None
+    time_ns = None if unit is None else int(name) * 10 ** _DIGITS[unit]
+    return time_ns if time_ns is not None and time_ns <= _LATEST_NS else None
 
 
 def read_stamps(stamps: StampList) -> Iterator[Int64[np.ndarray, " _"]]:
@@ -126,7 +146,7 @@ def read_stamps(stamps: StampList) -> Iterator[Int64[np.ndarray, " _"]]:
 def _blocks(path: Path, header: bool) -> Iterator[tuple[int, bytes]]:
     """Whole lines, at least one, with the number of the first; the last ends with a newline."""
     number, rest = 1, b""
-    with path.open("rb") as handle:
+    with open_file(path, max_bytes=None) as handle:
         if header:
             handle.readline(LONGEST_LINE)
             number = 2

@@ -4,10 +4,12 @@ They bear the name of what was meant, so every reader opens them and would call 
 for in the first bytes of whatever is opened, says what stands there and how to get the file itself.
 """
 
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
 from farfield.errors import FileFormatError
+from farfield.files.limits import open_file
 
 HEAD_BYTES = 256
 _LFS_POINTER = b"version https://git-lfs.github.com/spec/"
@@ -81,10 +83,10 @@ def check_itself(path: Path | str) -> None:
     """Refuse a stand-in before a library opens the path by itself; what cannot be opened is left to that library.
 
     Raises:
-        FileFormatError: If it is one of those of :func:`stand_in`.
+        FileFormatError: If it is one of those of :func:`stand_in`, or no regular file.
     """
     try:
-        with Path(path).open("rb") as handle:
+        with open_file(path, max_bytes=sys.maxsize) as handle:
             head = handle.read(HEAD_BYTES)
     except OSError:
         return

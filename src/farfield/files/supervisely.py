@@ -10,14 +10,13 @@ Position is the centre, dimensions the full sizes along the box's own axes, rota
 """
 
 import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from farfield.errors import FileFormatError
 from farfield.files.cuboids import Cuboid, CuboidEntry, attributes_of, checked, word, xyz
-from farfield.files.json_text import append, parse_json, set_value
+from farfield.files.json_text import append, parse_json, plain_json, set_value
 
 MAX_BYTES = 64 << 20
 _KIND = "cuboid_3d"
@@ -80,7 +79,7 @@ def with_new(text: str, cuboid: Cuboid) -> str:
 
 
 def _object_places(text: str) -> list[str]:
-    objects = json.loads(text.removeprefix("\ufeff"))["objects"]
+    objects = plain_json(text)["objects"]
     return [str(entry.get("key")) for entry in objects]
 
 

@@ -143,7 +143,7 @@ def _seen(pose: Element) -> dict[str, Value]:
 def _number(element: Element, name: str, path: Path | str, where: str) -> float:
     text = element.get(name)
     try:
-        value = float(text) if text is not None and "_" not in text else math.nan
+        value = float(text) if text is not None and text.isascii() and "_" not in text else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, UInt8
 
 from farfield.errors import ConfigError, FileFormatError, MissingExtraError
 from farfield.files.atomic import open_atomic
-from farfield.files.images import MAX_PIXELS
+from farfield.files.limits import MAX_PIXELS
 from farfield.files.stand_ins import check_itself
 
 VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v")

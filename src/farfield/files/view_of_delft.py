@@ -8,7 +8,6 @@ A label file is a list of objects with ``className``, ``objectId``, ``geometry``
 ``attributes``. Its axes are x forward, y right, z down, at the radar's origin.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,9 @@ from jaxtyping import Float
 
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import FARTHEST_M, check_turns, is_name
+from farfield.files.json_text import concatenated_json, plain_json
+from farfield.files.limits import check_name
 
 MAX_LABEL_BYTES = 1 << 24  # a label file has about 20 kB
 MAX_POSE_BYTES = 1 << 16  # a pose file has about 900 bytes
@@ -55,16 +57,17 @@ def read_camera_poses(path: Path | str) -> dict[str, Float[np.ndarray, "4 4"]]:
     Raises:
         FileFormatError: If the file holds anything but such objects, or a matrix is no rigid motion.
     """
-    text, decoder, position = _text(path, MAX_POSE_BYTES), json.JSONDecoder(), 0
     poses: dict[str, np.ndarray] = {}
-    while text[position:].strip():
-        position += len(text[position:]) - len(text[position:].lstrip())
-        try:
-            entry, position = decoder.raw_decode(text, position)
-        except (ValueError, RecursionError) as error:
-            raise _wrong(path, f"character {position}", "a JSON object", plain(error)) from error
+    try:
+        entries = tuple(concatenated_json(_text(path, MAX_POSE_BYTES)))
+    except ValueError as error:
+        raise _wrong(path, "the file", "JSON objects", plain(error)) from error
+    for position, entry in entries:
         if not isinstance(entry, dict) or not set(entry) <= set(_POSE_NAMES):
             raise _wrong(path, f"character {position}", f"objects of {', '.join(_POSE_NAMES)}", repr(entry))
+        twice = next((name for name in entry if _POSE_NAMES[name] in poses), None)
+        if twice is not None:
+            raise _wrong(path, twice, "each pose once", "a second one")
         poses |= {_POSE_NAMES[name]: _motion(path, name, values) for name, values in entry.items()}
     if not poses:
         raise _wrong(path, "the file", f"objects of {', '.join(_POSE_NAMES)}", "an empty file")
@@ -78,13 +81,14 @@ def read_objects(path: Path | str) -> DelftObjects:
         FileFormatError: If it is no such list, or a size, centre or quaternion is missing or no use.
     """
     try:
-        entries = json.loads(_text(path, MAX_LABEL_BYTES))
-    except (ValueError, RecursionError) as error:
+        entries = plain_json(_text(path, MAX_LABEL_BYTES))
+    except ValueError as error:
         raise _wrong(path, "the file", "a JSON list of objects", plain(error)) from error
     if not isinstance(entries, list):
         raise _wrong(path, "the file", "a JSON list of objects", type(entries).__name__)
     rows = [_object(path, number, entry) for number, entry in enumerate(entries)]
     numbers = np.array([row[2] for row in rows], dtype=np.float64).reshape(len(rows), 10)
+    check_turns(numbers[:, 6:], path, "object {}")
     return DelftObjects(
         class_name=tuple(row[0] for row in rows),
         object_id=tuple(row[1] for row in rows),
@@ -107,9 +111,15 @@ def _object(path: Path | str, number: int, entry: Any) -> tuple[str, str, list[f
         raise _wrong(path, where, expected, plain(error)) from error
     if not (isinstance(name, str) and isinstance(identity, str) and isinstance(attributes, dict)):
         raise _wrong(path, where, "texts for className and objectId, an object for attributes", repr(entry))
+    flag, activity = attributes.get("has_rider"), attributes.get("activity")
+    if not is_name(name) or not (flag is None or isinstance(flag, bool)) or not isinstance(activity, str | None):
+        expected = "a className, true or false as has_rider, a text as activity"
+        raise _wrong(path, where, expected, repr([name, flag, activity]))
+    for text in (name, identity, activity or ""):
+        check_name(path, where, text)
     values = _numbers(path, where, raw, 10)
-    if not (values[3:6] > 0).all() or not 0.5 < float(np.linalg.norm(values[6:])) < 2.0:
-        raise _wrong(path, where, "positive sizes and a unit quaternion", str(values[3:].tolist()))
+    if not (values[3:6] > 0).all() or not (np.abs(values[:3]) <= FARTHEST_M).all():
+        raise _wrong(path, where, f"positive sizes, a centre within {FARTHEST_M:g} m", str(values[:6].tolist()))
     return name, identity, values.tolist(), attributes
 
 
@@ -124,14 +134,14 @@ def _motion(path: Path | str, name: str, values: Any) -> Float[np.ndarray, "4 4"
 
 def _numbers(path: Path | str, where: str, values: Any, count: int) -> Float[np.ndarray, " n"]:
     good = isinstance(values, list) and len(values) == count
-    if not good or not all(isinstance(value, int | float) and abs(value) <= 1e9 for value in values):
+    if not good or not all(type(value) in (int, float) and abs(value) <= 1e9 for value in values):
         raise _wrong(path, where, f"{count} numbers within 1e9", repr(values))
     return np.array(values, dtype=np.float64)
 
 
 def _text(path: Path | str, max_bytes: int) -> str:
     try:
-        return read_bytes(path, max_bytes=max_bytes).decode("utf-8")
+        return read_bytes(path, max_bytes=max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise _wrong(
             path, f"byte {error.start}", "UTF-8 text", repr(error.object[error.start : error.start + 8])

@@ -9,6 +9,8 @@ from xml.parsers import expat
 from farfield.errors import FileFormatError
 
 MAX_BYTES = 64 << 20
+MAX_ELEMENTS = 2_000_000  # in memory some 200 bytes each, with their places twice as many
+_MAX_TAGS = 2 * MAX_ELEMENTS  # one that opens and one that closes
 _DEPTH = 32
 
 
@@ -40,11 +42,15 @@ class _TreeBuilder:
         self.root = Element("")
         self.open = [self.root]
         self.words: list[str] = []
+        self.count = 0
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         del attributes
         if len(self.open) > _DEPTH:
             raise _RefusedError(f"elements nested deeper than {_DEPTH}")
+        self.count += 1
+        if self.count > MAX_ELEMENTS:
+            raise _RefusedError(f"more than {MAX_ELEMENTS} elements")
         self.words.clear()
         element = Element(name)
         self.open[-1].children.append(element)
@@ -67,11 +73,14 @@ def parse_xml(data: bytes, path: Path | str, *, max_bytes: int = MAX_BYTES) -> E
     """The outermost element of an XML file. Attributes and comments are left out.
 
     Raises:
-        FileFormatError: If it is no XML, too large, nested too deep, or declares entities, which could grow without
-            bound or name other files.
+        FileFormatError: If it is no XML, too large, of too many elements, nested too deep, or declares entities, which
+            could grow without bound or name other files.
     """
     if len(data) > max_bytes:
         raise FileFormatError(path, where="the file", expected=f"at most {max_bytes} bytes", got=f"{len(data)} bytes")
+    if data.count(b"<") > _MAX_TAGS:  # counted before any is built: each costs a hundred times its four bytes
+        expected = f"at most {MAX_ELEMENTS} elements"
+        raise FileFormatError(path, where="the file", expected=expected, got=f"more than {_MAX_TAGS} tags and comments")
     builder, parser = _TreeBuilder(), expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end

@@ -13,9 +13,12 @@ from jaxtyping import Float
 from farfield.errors import FileFormatError
 from farfield.files import ascii_table
 from farfield.files.ascii_table import parse_table
-from farfield.files.atomic import MAX_BYTES, open_atomic, read_bytes
+from farfield.files.atomic import open_atomic, read_bytes
+from farfield.files.limits import MAX_BYTES, open_file
+from farfield.files.stand_ins import check_itself
 
 KNOWN_COLUMNS = (5, 8)
+_MOST_COLUMNS = 16
 _LINE_BYTES = 4096  # longer than any line of numbers
 
 
@@ -68,6 +71,15 @@ def read_xyz(
     table = parse_table(data, dtypes=[np.dtype(np.float64)] * count, separator=separator, path=path)
     rows = np.stack(table, axis=1)
     return _finite(rows, on_nan=on_nan, path=path)
+
+
+def xyz_columns(path: Path) -> int | None:
+    """Columns of an ASCII cloud, three or more; None leaves it to the reader, which names what is wrong."""
+    check_itself(path)
+    with open_file(path, max_bytes=None) as handle:
+        first = handle.read(_LINE_BYTES).partition(b"\n")[0].decode("ascii", errors="replace")
+    count = len(first.replace(";", " ").replace(",", " ").split())
+    return count if 3 <= count <= _MOST_COLUMNS else None
 
 
 def _finite(

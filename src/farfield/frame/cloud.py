@@ -1,14 +1,15 @@
 """Point clouds with named columns, and their files of any kind.
 
 ``farfield convert DATA --to cache`` writes a binary cache, ``<root>/.farfield_cache/<path below root>.ffcloud``, which
-is read in its place where it is newer: in a fraction of the time of parsing text. The readers of the formats are
-imported when a file of theirs is read.
+is read in its place where it was made of the very bytes: in a fraction of the time of parsing text. The readers of the
+formats are imported on first use.
 """
 
-import tokenize
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from operator import itemgetter
 from pathlib import Path
 from typing import Literal
@@ -18,8 +19,11 @@ from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
+from farfield.files.limits import check_numbers
+from farfield.files.map_coordinates import MAP_SUFFIXES, NEAREST_M, Origin, beyond_any_sensor, read_map_cloud
+from farfield.files.marks import mark_of
+from farfield.files.npy import read_npy
 from farfield.files.point_times import OFFSET_COLUMN, PointTimeColumn, PointTimes, point_time_column
-from farfield.files.stand_ins import check_itself
 from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.poses import check_rigid, transform_points
@@ -29,11 +33,11 @@ _PLACE = ("x_m", "y_m", "z_m")
 RADAR_COLUMNS = ("power", "doppler", "rcs")
 """How the columns begin that a radar's clouds have and a LiDAR's have not."""
 CACHE_FOLDER = ".farfield_cache"
-CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".xyz", ".ffcloud")
+CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".npz", ".xyz", ".ply", ".las", ".laz", ".ffcloud")
 
-_MOST_COLUMNS, _LINE_BYTES = 16, 4096
-_MOST_OFFSET_S = 2.0
-_NEAREST_M = 1e4  # no sensor sees so far: clouds in millimetres begin nearer
+_GPS_TIME = "gps_time"
+_MOST_COLUMNS, _MOST_OFFSET_S = 16, 2.0
+_FARTHEST_M = 1e7  # coordinates of maps (UTM, ECEF) end before
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,7 @@ class Cloud(Locked):
             raise ValueError(
                 f"Cloud.points_m: expected shape (n, 3), got {self.points_m.shape}; Cloud.of takes rows of more columns"
             )
-        away_m = _beyond_any_sensor(points_m)
+        away_m = beyond_any_sensor(points_m)
         if away_m:
             raise ValueError(
                 f"Cloud.points_m: expected metres from the sensor, got points of which the nearest lies "
@@ -102,7 +106,7 @@ class Cloud(Locked):
 
     @classmethod
     def from_file(cls, path: Path | str) -> "Cloud":
-        """Read a cloud file: .pcd, .bin, .npy, .xyz or .ffcloud; see :func:`read_cloud`.
+        """Read a cloud file of one of :data:`CLOUD_SUFFIXES`; see :func:`read_cloud`.
 
         Raises:
             FarfieldError: If there is no such file, its suffix is unknown or it is damaged.
@@ -213,19 +217,6 @@ class Cloud(Locked):
         return points_in_boxes(self.points_m, boxes, margin_m=margin_m)
 
 
-def _beyond_any_sensor(points_m: Num[np.ndarray, "n 3"]) -> float:
-    """The distance of the nearest point, metres, where it is beyond what sensors see; 0 where it is not.
-
-    What stands at the origin is no return and does not count.
-    """
-    if not len(points_m) or max(points_m.max(), -points_m.min()) <= _NEAREST_M:  # not so for NaN: then it is looked at
-        return 0.0
-    range_m = np.linalg.norm(points_m.astype(np.float64), axis=1)
-    range_m = range_m[np.isfinite(range_m) & (range_m > 0)]
-    nearest_m = float(range_m.min()) if len(range_m) else 0.0
-    return nearest_m if nearest_m > _NEAREST_M else 0.0
-
-
 def cache_path(source: Path, root: Path) -> Path:
     """Where the cache of a cloud file stands.
 
@@ -237,8 +228,17 @@ def cache_path(source: Path, root: Path) -> Path:
 
 
 def is_fresh(cached: Path, source: Path) -> bool:
-    """Whether a cache file exists and is not older than its source."""
-    return cached.is_file() and cached.stat().st_mtime_ns >= source.stat().st_mtime_ns
+    """Whether a cache file was made of the bytes that its source has now, by number and CRC-32, whatever the times."""
+    from farfield.files.clouds import cache_source
+
+    state = cache_source(cached)
+    now = source.stat()
+    return state is not None and state[0] == now.st_size and state == _mark(source, now.st_ctime_ns, now.st_ino)
+
+
+@lru_cache(maxsize=1 << 16)
+def _mark(source: Path, changed_ns: int, inode: int) -> tuple[int, int]:  # noqa: ARG001 - what another file differs in
+    return mark_of(source)
 
 
 def read_rows(
@@ -267,9 +267,10 @@ def read_rows(
         columns_read = [stored[name] for number in range(len(stored)) if (name := f"c{number}") in stored]
         good = [column for column in columns_read if column.ndim == 1]
         if len(good) < 3 or len({len(column) for column in good}) != 1 or len(good) != len(stored):
-            actual = f"{', '.join(stored)[:80]}"
             fix = "Delete the cache file, or write it anew: farfield convert DATA --to cache --overwrite."
-            raise FileFormatError(cached, where="the columns", expected="c0, c1, c2...", got=actual, fix=fix)
+            raise FileFormatError(
+                cached, where="the columns", expected="c0, c1, c2...", got=", ".join(stored)[:80], fix=fix
+            )
         return good
     return list(read_xyz(source, columns=columns, delimiter=delimiter, on_nan="keep").T)
 
@@ -283,16 +284,15 @@ def write_rows_cache(source: Path, root: Path, *, columns: int | None = None, de
     from farfield.files.clouds import write_cache
     from farfield.files.xyz import read_xyz
 
+    state = mark_of(source)  # before the rows: what is changed meanwhile makes the cache stale, not wrong
     rows = read_xyz(source, columns=columns, delimiter=delimiter, on_nan="keep")
     cached = cache_path(source, root)
     cached.parent.mkdir(parents=True, exist_ok=True)
-    write_cache(
-        cached,
-        {
-            f"c{number}": column.astype(np.float32 if np.nanmax(np.abs(column), initial=0.0) < 1e5 else np.float64)
-            for number, column in enumerate(rows.T)
-        },
-    )
+    arrays = {
+        f"c{number}": column.astype(np.float32 if np.nanmax(np.abs(column), initial=0.0) < 1e5 else np.float64)
+        for number, column in enumerate(rows.T)
+    }
+    write_cache(cached, arrays, source=state)
     return cached
 
 
@@ -308,6 +308,8 @@ class CloudSettings:
         row_names: Names of the columns of files without any, by how many they are; None decides by the file.
         stamp_ns: The sweep's time since 1970; None where it is not known.
         period_ns: From one sweep to the next; None where it is not known.
+        origin_m: What is subtracted, in float64, from the coordinates of the formats of :data:`MAP_SUFFIXES`; None
+            takes the middle of the file's own points where they lie beyond 10 km, and warns.
     """
 
     intensity_scale: float | int | None = None
@@ -316,6 +318,7 @@ class CloudSettings:
     row_names: Mapping[int, tuple[str, ...]] | None = None
     stamp_ns: int | None = None
     period_ns: float | int | None = None
+    origin_m: Origin | None = None
 
     def at(self, stamp_ns: int | None) -> "CloudSettings":
         """The same for a sweep of a time."""
@@ -326,7 +329,7 @@ _OWN_SETTINGS = CloudSettings()
 
 
 def read_cloud(path: Path, settings: CloudSettings = _OWN_SETTINGS, *, bin_columns: int | None = None) -> Cloud:
-    """Read one cloud file of a known suffix: .pcd, .bin (velodyne), .npy (rows), .xyz or .ffcloud.
+    """Read one cloud file of one of :data:`CLOUD_SUFFIXES`; ``.bin`` is KITTI's velodyne format.
 
     Args:
         path: The file.
@@ -338,19 +341,22 @@ def read_cloud(path: Path, settings: CloudSettings = _OWN_SETTINGS, *, bin_colum
             cannot be told.
         DatasetError: If the suffix is unknown, x, y and z are missing, or all points lie beyond 10 km.
     """
-    columns = named_columns(path, read_columns(path, bin_columns=bin_columns), settings.row_names)
-    return _from_columns(path, columns, settings)
+    read = read_columns(path, bin_columns=bin_columns, origin_m=settings.origin_m)
+    return _from_columns(path, named_columns(path, read, settings.row_names), settings)
 
 
 Columns = Mapping[str, Shaped[np.ndarray, "..."]]
 
 
-def read_columns(path: Path, *, bin_columns: int | None = None) -> Columns | Shaped[np.ndarray, "n c"]:
+def read_columns(
+    path: Path, *, bin_columns: int | None = None, origin_m: Origin | None = None
+) -> Columns | Shaped[np.ndarray, "n c"]:
     """The columns of a cloud file by the names that it has for them, or its rows where it has none.
 
     Args:
         path: The file.
         bin_columns: Columns of ``.bin`` files; None decides by the numbers themselves.
+        origin_m: As :class:`CloudSettings` has it.
 
     Raises:
         FileFormatError: If the file is damaged.
@@ -373,7 +379,19 @@ def read_columns(path: Path, *, bin_columns: int | None = None) -> Columns | Sha
         count = bin_columns_of(path).count if bin_columns is None else bin_columns
         return read_bin(path, columns=count, on_nan="keep")
     if suffix == ".xyz":
+        from farfield.files.xyz import xyz_columns
+
         return np.column_stack(read_rows(path, path.parent, columns=xyz_columns(path)))
+    if suffix == ".npz":
+        from farfield.files.npz import read_npz
+
+        return read_npz(path)
+    if suffix == ".ply":
+        from farfield.files.ply import read_ply
+
+        return read_ply(path)
+    if suffix in MAP_SUFFIXES:
+        return read_map_cloud(path, origin_m)
     if suffix == ".npy":
         rows = _read_npy(path)
         return rows if rows.dtype.names is None else {name: native(rows[name]) for name in rows.dtype.names}
@@ -416,6 +434,7 @@ def named_columns(
     strength = next((lower[name] for name in INTENSITY_NAMES if name in lower), None)
     if strength is not None:
         ours[strength] = "intensity"
+    check_numbers(path, "the fields", sum(math.prod(values.shape[1:]) for values in columns.values()))
     split: dict[str, np.ndarray] = {}
     for name, values in columns.items():
         own_name = ours.get(name, name)
@@ -430,7 +449,7 @@ def named_columns(
                 fix="Write one of them as the field; the others as fields of their own.",
             )
         else:
-            rows = values.reshape(len(values), -1)
+            rows = values.reshape(len(values), math.prod(values.shape[1:]))
             parts = {f"{name}_{element}": np.ascontiguousarray(column) for element, column in enumerate(rows.T)}
             double = next((part for part in parts if part in columns), None)
             if double is not None:
@@ -500,36 +519,15 @@ def columns_shown(paths: Sequence[Path]) -> int | None:
     return columns.count if columns.likely else None
 
 
-_NOT_NPY = (ValueError, OSError, EOFError, OverflowError, SyntaxError, tokenize.TokenError)
-"""What numpy raises of a damaged file, whose header it parses as a Python literal."""
-
-
 def _read_npy(path: Path) -> Shaped[np.ndarray, "..."]:
-    check_itself(path)
-    try:
-        rows = np.load(path, allow_pickle=False, mmap_mode="r")  # the header's size is checked against the file's
-    except _NOT_NPY as error:
-        raise DatasetError(f"{path}: expected a .npy file of numbers, found: {error}") from error
+    rows = read_npy(path, fields=True)
     if rows.dtype.names is not None:  # fields by name, one row a point or organised in rows and columns
-        kinds = {name: rows.dtype[name].base for name in rows.dtype.names}
-        wrong = [name for name, kind in kinds.items() if kind.kind not in "fiub" or kind.names is not None]
-        if wrong:
-            raise DatasetError(f"{path}: expected fields of numbers, got {wrong[0]!r} of {rows.dtype[wrong[0]]}")
-        return np.array(rows).reshape(-1)
+        return rows.reshape(-1)
     if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
         raise DatasetError(f"{path}: expected rows of at least 3 numbers, got shape {rows.shape} of {rows.dtype}")
     if rows.shape[1] > _MOST_COLUMNS >= rows.shape[0] >= 3:  # a row a quantity, not a row a point
         rows = rows.T
-    return np.array(rows)
-
-
-def xyz_columns(path: Path) -> int | None:
-    """Columns of an ASCII cloud, three or more; None leaves it to the reader, which names what is wrong."""
-    check_itself(path)
-    with path.open("rb") as handle:
-        first = handle.read(_LINE_BYTES).partition(b"\n")[0].decode("ascii", errors="replace")
-    count = len(first.replace(";", " ").replace(",", " ").split())
-    return count if 3 <= count <= _MOST_COLUMNS else None
+    return rows
 
 
 def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: CloudSettings = _OWN_SETTINGS) -> Cloud:
@@ -544,12 +542,6 @@ def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: Cloud
     if not valid.all():
         rest = {name: value[valid] for name, value in columns.items()}
         return replace(_from_columns(path, rest, settings), missing=int((~valid).sum()))
-    if len(points) and np.hypot(points[:, 0], points[:, 1]).min() > _NEAREST_M:
-        raise DatasetError(
-            f"{path}: expected metres from the sensor, got points of which the nearest lies "
-            f"{np.hypot(points[:, 0], points[:, 1]).min():.4g} away: coordinates of a map (UTM, ECEF)? Subtract where "
-            "the sensor stood, in float64."
-        )
     strength = np.asarray(columns.get("intensity", np.zeros(len(points), dtype=np.float32)))
     scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
     extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
@@ -564,16 +556,24 @@ def returned(path: Path | str, points_m: Num[np.ndarray, "n 3"]) -> Bool[np.ndar
         points_m: x, y, z in the sensor's own coordinates, before they are moved anywhere.
 
     Raises:
-        DatasetError: If a coordinate is infinite.
+        DatasetError: If a coordinate is infinite or farther than any map's, or all points lie beyond 10 km.
     """
     number_type = np.result_type(points_m.dtype, np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         x, y, z = (np.abs(points_m[:, axis].astype(number_type, copy=False)) for axis in range(3))
         extent = x + y + z  # 0, or NaN, where nothing returned
-    if np.isinf(extent).any():
-        row = int(np.argmax(np.isinf(extent)))
-        raise DatasetError(f"{path}: expected finite coordinates, got {points_m[row].tolist()} in point {row}")
-    return extent > 0
+        impossible = extent > 3 * _FARTHEST_M
+    if impossible.any():
+        row = int(np.argmax(impossible))
+        got = f"{points_m[row].tolist()} in point {row}: of another number type, order of bytes or number of columns?"
+        raise DatasetError(f"{path}: expected finite coordinates within 10,000 km, got {got}")
+    valid: Bool[np.ndarray, " n"] = extent > 0
+    if extent.min(initial=np.inf, where=valid) > NEAREST_M and (away_m := beyond_any_sensor(points_m)):
+        raise DatasetError(
+            f"{path}: expected metres from the sensor, got points of which the nearest lies {away_m:.4g} away: "
+            "coordinates of a map (UTM, ECEF)? Subtract where the sensor stood, in float64."
+        )
+    return valid
 
 
 def with_offsets(
@@ -585,6 +585,8 @@ def with_offsets(
         FileFormatError: If their unit or what they count from cannot be told.
     """
     name = None if settings.point_times == "none" else point_time_column(extra)
+    if name is None and settings.point_times not in ("none", "auto") and _GPS_TIME in extra:
+        name = _GPS_TIME
     if name is None:
         return dict(extra)
     unit = None if settings.point_times == "auto" else settings.point_times

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from farfield.vocabulary.counts import count_of
+
 Key = tuple[str, str]
 """(sequence, frame): what pairs predictions with annotations."""
 _JUMP_M, _JUMP_M_S = 100.0, 100.0
@@ -74,5 +76,7 @@ class Drive:
             if len(jumps):
                 first = int(jumps[0])
                 after = self.keys[first + 1][1] if self.keys else first + 1
-                issues.append(f"the poses jump {len(jumps)} times, first by {ways_m[first]:.0f} m at frame {after}")
+                issues.append(
+                    f"the poses jump {count_of(len(jumps), 'time')}, first by {ways_m[first]:.0f} m at frame {after}"
+                )
         return tuple(issues)

@@ -19,7 +19,7 @@ def is_simulated(root: Path) -> bool:
 
     Of a folder below, its journal says so; without a journal each is one that it wrote.
     """
-    if (root / SIMULATION_FILE).is_file():
+    if (root / SIMULATION_FILE).is_file() or any(root.glob(f"dir_*to*/{SIMULATION_FILE}")):  # on K-Radar's disks
         return True
     parent, name = root.absolute().parent, root.absolute().name
     if not (parent / SIMULATION_FILE).is_file():

@@ -7,8 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from farfield.datasets.edits import CellEdit, EditState, Record, box_cell, decode, encode, journal_folder, read_journal
-from farfield.datasets.edits.journal import user_folder
+from farfield.datasets.edits import (
+    CellEdit,
+    Edited,
+    EditState,
+    Record,
+    box_cell,
+    decode,
+    encode,
+    journal_folder,
+    read_journal,
+)
+from farfield.datasets.edits.journal import check_values, user_folder
 from farfield.errors import DatasetError, FileFormatError
 
 CELL = box_cell(("a", "0001"), "4")
@@ -38,9 +48,11 @@ def test_numbers_that_json_lacks_are_refused() -> None:
         encode(_edit(1, None, float("nan")))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("text", [b"[]", b"{}", b'{"seq":"1"}', b"[" * 100_000, b"\xff", b'{"seq":true,"id":1}'])
+@pytest.mark.parametrize(
+    "text", [b"[]", b"7", b"[[1]]", b"{}", b'{"seq":"1"}', b"[" * 100_000, b"\xff", b'{"seq":true,"id":1}']
+)
 def test_sound_checksums_of_nonsense_are_refused(text: bytes) -> None:
-    with pytest.raises(ValueError, match=r"line that is no edit|decode|Expecting|codec"):
+    with pytest.raises(ValueError, match=r"line that is no edit|decode|Expecting|codec|nested deeper"):
         decode(b"%08x %s\n" % (zlib.crc32(text), text))
 
 
@@ -161,3 +173,65 @@ def test_lines_that_make_sense_only_together_are_refused(tmp_path: Path) -> None
     path.write_bytes(b"".join(b"%08x %s\n" % (zlib.crc32(text), text) for text in texts))
     with pytest.raises(FileFormatError, match="line 1"):
         read_journal(path, lambda record: None)
+
+
+_BOX = {"label": "vehicle", "box": [1.0, 2.0, 3.0, 4.0, 2.0, 1.5, 0.3]}
+_TIMING = {"frame": ["a", "0001"], "box": "4", "seconds": 3.5, "edits": 2}
+
+
+@pytest.mark.parametrize(
+    ("cell", "value", "data"),
+    [
+        (("box", "a"), _BOX, {}),
+        ((), _BOX, {}),
+        (("box", "a", "0001", "4"), 3, {}),
+        (("box", "a", "0001", "4"), ["x"], {}),
+        (("box", "a", "0001", "4"), {"label": "vehicle"}, {}),
+        (("box", "a", "0001", "4"), {**_BOX, "box": 7}, {}),
+        (("box", "a", "0001", "4"), {**_BOX, "box": [True] * 7}, {}),
+        (("box", "a", "0001", "4"), {**_BOX, "label": 5}, {}),
+        (("box", "a", "0001", "4"), {**_BOX, "track": None}, {}),
+        (("box", "a", "0001", "4"), {**_BOX, "attributes": [1]}, {}),
+        (("box", "a", "0001", "4"), {**_BOX, "attributes": {"a": []}}, {}),
+        (("box", "a", "0001", "4"), {**_BOX, "score": "high"}, {}),
+        (("box", "a", "0001", "4"), {**_BOX, "proposal": [1.0]}, {}),
+        (("track", "a", "7"), {"size": [4.0, 2.0]}, {}),
+        (("track", "a", "7"), {"size": [4.0, 2.0, -1.0]}, {}),
+        (("track", "a", "7"), {"ends": 5}, {}),
+        (("track", "a", "7"), {"colour": "red"}, {}),
+        (("track", "a"), {}, {}),
+        (("extent",), "half", {}),
+        (("bookmark", "a", "0001"), {"note": "x"}, {}),
+        (("ignored", "x"), 5, {}),
+        (("extent",), None, {"files": ["a.json"]}),
+        (("extent",), None, {"files": {"a.json": 5}}),
+        (("extent",), None, {**_TIMING, "frame": ["a"]}),
+        (("extent",), None, {**_TIMING, "seconds": "3"}),
+        (("extent",), None, {**_TIMING, "edits": None}),
+    ],
+)
+def test_values_of_another_form_are_refused_where_a_journal_is_read(
+    tmp_path: Path, cell: tuple[str, ...], value: object, data: dict[str, object]
+) -> None:
+    record = Record(1, "a", 5, "ann", "w", "box.set", (CellEdit(cell, 0, None, value),), data=data)
+    (tmp_path / "edits.jsonl").write_bytes(encode(record))
+    with pytest.raises(FileFormatError, match=r"line 1: expected an edit"):
+        read_journal(tmp_path / "edits.jsonl", check_values)
+    with pytest.raises(FileFormatError, match=r"line 1: expected an edit"):
+        Edited(edits=tmp_path / "edits.jsonl")
+
+
+def test_values_as_the_studio_writes_them_are_read(tmp_path: Path) -> None:
+    values = (
+        (("box", "a", "0001", "4"), {**_BOX, "track": "7", "attributes": {"a": "b"}, "score": 0.5, "state": "edited"}),
+        (("box", "a", "0001", "5"), {**_BOX, "proposal": [1.0] * 7, "source": "detector"}),
+        (("track", "a", "7"), {"locked": True, "size": [4.0, 2.0, 1.5], "ends": "0005", "label": "vehicle"}),
+        (("bookmark", "a", "0001"), "look"),
+        (("ignored", "x"), "parked"),
+        (("extent",), "full"),
+        (("of a later version", "x"), [1, 2]),
+    )
+    changes = tuple(CellEdit(cell, 0, None, value) for cell, value in values)
+    record = Record(1, "a", 5, "ann", "w", "save", changes, data={**_TIMING, "files": {"a.json": "0f"}})
+    (tmp_path / "edits.jsonl").write_bytes(encode(record))
+    read_journal(tmp_path / "edits.jsonl", check_values)

@@ -223,7 +223,7 @@ def test_nothing_to_convert_is_an_error(tree: Path, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     np.save(tmp_path / "other" / "a.npy", np.zeros((3, 4), dtype=np.float32))
     with pytest.raises(DatasetError, match="expected K-Radar"):
-        convert(open_dataset(tmp_path / "other"), tmp_path, to="radar-store")
+        convert(open_dataset(tmp_path / "other"), tmp_path / "store", to="radar-store")
 
 
 def test_a_damaged_source_is_named(tree: Path, tmp_path: Path) -> None:

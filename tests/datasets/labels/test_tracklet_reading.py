@@ -198,7 +198,7 @@ def test_the_flag_overrules_and_is_checked(tmp_path: Path, capsys: pytest.Captur
     assert open_dataset(root, tracklets="kitti")[0].boxes.size_m[0].tolist() == [1.5, 1.8, 4.4]
     with pytest.raises(ConfigError, match="kitti, cvat, datumaro"):
         open_dataset(root, tracklets="other")
-    target = tmp_path / "boxes.csv"
+    target = tmp_path.with_name(f"{tmp_path.name}-boxes.csv")
     assert main(["convert", str(root), str(target), "--to", "boxes-csv"]) == 0
     assert "is read as cvat's" in capsys.readouterr().err
     assert "4.4,1.8,1.5" in target.read_text()

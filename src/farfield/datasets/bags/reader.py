@@ -1,6 +1,6 @@
-"""ROS 2 bags as frames: one a message of the reference cloud, with the nearest of each other topic."""
+"""ROS bags as frames: one a message of the reference cloud, with the nearest of each other topic."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Int64, Shaped, UInt8
 from farfield.datasets.bags.transforms import Transforms
 from farfield.datasets.base import Dataset, Indices, Poses, all_poses
 from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormatError
-from farfield.files.bags import SUFFIXES, Bag, Topic, guarded, is_bag
+from farfield.files.bags import FILE_SUFFIXES, Bag, Topic, guarded, is_bag
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_times, point_time_column
 from farfield.files.sensor_messages import read_points, read_ros_compressed, read_ros_image
@@ -24,6 +24,7 @@ from farfield.frame.cloud import (
     returned,
     with_offsets,
 )
+from farfield.vocabulary.counts import count_of
 
 CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
 COMPRESSED, IMU = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu"
@@ -106,8 +107,8 @@ class IndexedBag:
         repeat = np.arange(len(log)) - first_of_equal
         looked_at = np.unique(np.linspace(0, len(log) - 1, _LOOKED_AT).astype(int)).tolist()
         rows: list[int] = looked_at if topic.kind == CLOUD else []
-        samples = [] if not rows else [self._columns(topic, int(log[0]), 0)]
-        for row in rows[1:]:
+        samples: list[Columns] = []
+        for row in rows:
             with suppress(FarfieldError):  # a damaged one is reported when it is read
                 samples.append(self._columns(topic, int(log[row]), int(repeat[row])))
         steps = np.diff(times[order])
@@ -155,17 +156,27 @@ def our_name(topic: str) -> str:
     return topic.strip("/").replace("/", "_")
 
 
+_NO_LIDARS = ("depth", "camera", "stereo", "registered", "map", "global", "accumulated")
+
+
+def _rank(topic: Topic) -> tuple[bool, bool, int]:
+    """Whether a cloud is no radar's; whether it is no depth camera's and no map, by name; how many there are."""
+    name = topic.name.lower()
+    return "radar" not in name, not any(word in name for word in _NO_LIDARS), topic.size
+
+
 class Bags(Dataset):
-    """ROS 2 bags, SQLite or MCAP: a frame a message of the reference cloud, in its sensor's coordinates.
+    """Bags of ROS 2 (SQLite, MCAP) or ROS 1: a frame a message of the reference cloud, in its sensor's coordinates.
 
     Other clouds and images come with the frame whose stamp is nearest, within the tolerance; a message may come with
     two. Clouds whose place is known by fixed transforms stand in the frame's coordinates, others keep their own axes
-    (``in_frame=False``). Poses come from ``/tf`` where moving edges lie above the reference. The first access reads a
+    (``in_frame=False``). Poses come from ``/tf`` where moving edges lie above the reference, or, of a frame
+    that no transform moves, from the one topic of ``nav_msgs/msg/Odometry`` that does. The first access reads a
     bag once for its stamps; ``farfield.files.bags`` has what else is in it, such as IMU messages (:meth:`imu`).
 
     Args:
-        root: A bag's folder, or a folder of bags or of lone ``.mcap`` and ``.db3`` files.
-        cloud: Topic of the reference cloud; the lidar with the most messages unless given.
+        root: A bag's folder, or a folder of bags or of lone ``.mcap``, ``.db3`` and ``.bag`` files.
+        cloud: Topic of the reference cloud; the lidar with the most messages unless given, which is then said.
         stamp: ``"header"``, the sensors' own stamps, or ``"log"``, when messages were recorded.
         tolerance_ms: Largest distance of what comes with a frame.
         intensity_scale: Value that stands for full reflectance; None decides by some clouds of each topic.
@@ -198,7 +209,7 @@ class Bags(Dataset):
         scale = intensity_max if intensity_scale is None else intensity_scale
         if scale is not None and not 0 < scale < np.inf:
             raise ConfigError(f"intensity_scale: expected a positive number, got {scale!r}")
-        self.root, self.tolerance_ns = Path(root), round(tolerance_ms * 1e6)
+        self.root, self.tolerance_ns, self.chosen_cloud = Path(root), round(tolerance_ms * 1e6), cloud
         paths = find_bags(self.root)
         self._bags = {path.stem if path.is_file() else path.resolve().name: path for path in paths}
         if len(self._bags) < len(paths):
@@ -220,7 +231,7 @@ class Bags(Dataset):
         if cloud is not None:
             return ConfigError(f"{self.root}: expected bags with clouds of {cloud}, found {', '.join(held) or 'none'}")
         topics = {topic.name: topic for bag in self._recorded.values() for topic in bag.bag.topics}
-        shown = [f"{topic.name} ({topic.kind}, {topic.size} messages)" for topic in topics.values()]
+        shown = [f"{topic.name} ({topic.kind}, {count_of(topic.size, 'message')})" for topic in topics.values()]
         listed = ", ".join(shown[:8]) + (f" and {len(shown) - 8} more" if len(shown) > 8 else "")
         return DatasetError(
             f"{self.root}: expected a topic of {CLOUD} with messages, found {listed or 'no topic at all'}. A driver's "
@@ -229,11 +240,28 @@ class Bags(Dataset):
         )
 
     def _reference(self, name: str, cloud: str | None) -> Topic | None:
-        """The reference cloud of a bag; without a name the one of most messages, lidars before radars by name."""
+        """The reference cloud of a bag; without a name the one of most messages.
+
+        Clouds of lidars come before those of depth cameras and of maps, and these before radars, by their names.
+        """
         topics = self._recorded[name].clouds
         if cloud is not None:
             return next((topic for topic in topics if cloud in (topic.name, our_name(topic.name))), None)
-        return max(topics, key=lambda topic: ("radar" not in topic.name.lower(), topic.size), default=None)
+        return max(topics, key=_rank, default=None)
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """Which of several clouds frames go by, where that was not said."""
+        if self.chosen_cloud is not None:
+            return ()
+        sentences: dict[str, None] = {}
+        for name, topic in self._clouds.items():
+            others = [other.name for other in self._recorded[name].clouds if other is not topic and _rank(other)[0]]
+            if topic is not None and others:
+                sentences[f"frames go by the cloud {topic.name}, not by {', '.join(others)}; cloud= says another"] = (
+                    None
+                )
+        return tuple(sentences)
 
     def _of(self, sequence: str) -> tuple[IndexedBag, str, Messages]:
         topic = self._clouds[sequence]
@@ -273,7 +301,10 @@ class Bags(Dataset):
             if messages.topic.kind == CLOUD:
                 ours = np.eye(4) if name == reference else recorded.transforms.fixed(own.frame_id, messages.frame_id)
                 move = None if name == reference else ours
-                clouds[name] = partial(load_cloud, *where, settings=messages.settings, target_T_sensor=move)
+                settings = messages.settings
+                clouds[name] = partial(
+                    load_cloud, *where, settings=settings, target_T_sensor=move, radar=messages.radar
+                )
                 kind: Literal["radar", "lidar"] = "radar" if messages.radar else "lidar"
                 has_pose = ours is not None
                 sensors[name] = Sensor(kind=kind, frame_T_sensor=ours, in_frame=has_pose, time_ns=taken_ns)
@@ -326,7 +357,7 @@ def find_bags(root: Path) -> list[Path]:
     """The bag that a folder is, or those in it: folders with metadata, and lone files."""
     if is_bag(root):
         return [root]
-    lone = [path for path in root.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+    lone = [path for path in root.iterdir() if path.suffix.lower() in FILE_SUFFIXES and path.is_file()]
     return sorted([*lone, *(path for path in root.iterdir() if path.is_dir() and is_bag(path))])
 
 
@@ -386,6 +417,7 @@ def load_cloud(
     *,
     settings: CloudSettings,
     target_T_sensor: np.ndarray | None = None,
+    radar: bool = False,
 ) -> Cloud:
     """Read one cloud of a bag; rows without a place (not finite, or 0, 0, 0: no return) are left out and counted.
 
@@ -396,21 +428,25 @@ def load_cloud(
         index: Which of those recorded then.
         settings: Full scale, unit of times and period.
         target_T_sensor: Moves the points into other coordinates.
+        radar: Whether it is a radar's.
     """
     message = bag.at(topic, log_ns, index)
     columns = read_points(message, bag.path)
     with guarded(bag.path, "a cloud's header"):
         stamp_ns = int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
-    cloud = cloud_of(columns, bag.path, settings.at(stamp_ns))
+    cloud = cloud_of(columns, bag.path, settings.at(stamp_ns), radar=radar)
     return cloud if target_T_sensor is None else cloud.transform(target_T_sensor)
 
 
-def cloud_of(columns: Columns, path: Path | str, settings: CloudSettings) -> Cloud:
-    """A cloud of the columns of a message.
+def cloud_of(
+    columns: Mapping[str, Shaped[np.ndarray, "..."]], path: Path | str, settings: CloudSettings, *, radar: bool = False
+) -> Cloud:
+    """A cloud of the columns of a message; a radar's intensity is a further column, in its own unit (decibels).
 
     Raises:
-        FileFormatError: If there is no x, y, z, an intensity lies beyond its scale, or the points' times cannot be
-            told.
+        FileFormatError: If there is no x, y, z, one of them or the intensity holds several numbers, an intensity lies
+            beyond its scale, or the points' times cannot be told.
+        DatasetError: If the points lie beyond what sensors see.
     """
     columns = named_columns(path, columns)
     missing = [name for name in "xyz" if name not in columns]
@@ -420,7 +456,7 @@ def cloud_of(columns: Columns, path: Path | str, settings: CloudSettings) -> Clo
     points[np.isinf(points).any(axis=1)] = np.nan
     valid = returned(path, points)
     rest = {name: values[valid] for name, values in columns.items() if name not in "xyz"}
-    strength = rest.pop("intensity", None)
+    strength = None if radar else rest.pop("intensity", None)
     if strength is not None:
         scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
         strength = scaled_intensity(path, strength, scale)

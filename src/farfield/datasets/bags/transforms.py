@@ -1,4 +1,4 @@
-"""The tree of coordinates of a bag: fixed edges of ``/tf_static``, moving ones of ``/tf``."""
+"""The tree of coordinates of a bag: fixed edges of ``/tf_static``, moving ones of ``/tf`` or of an odometry."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,7 +13,8 @@ from farfield.files.bags import Bag, guarded
 from farfield.geometry.poses import pose, rotation_from_quaternion
 
 Pose = Float[np.ndarray, "4 4"]
-KIND = "tf2_msgs/msg/TFMessage"
+KINDS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")  # the latter of ROS 1's first releases
+ODOMETRY = "nav_msgs/msg/Odometry"
 STATIC = "tf_static"
 _LONGEST_CHAIN = 100
 
@@ -71,7 +72,7 @@ class Transforms:
         Raises:
             FileFormatError: If a transform is no rigid motion.
         """
-        names = [topic.name for topic in self.bag.topics if topic.kind == KIND]
+        names = [topic.name for topic in self.bag.topics if topic.kind in KINDS]
         fixed: dict[str, tuple[str, Pose]] = {}
         moving: dict[str, dict[int, tuple[str, Pose]]] = {}
         for topic, _, raw in self.bag.messages(names) if names else ():
@@ -80,6 +81,9 @@ class Transforms:
                     fixed[child] = (parent, matrix)
                 else:
                     moving.setdefault(child, {})[time_ns] = (parent, matrix)
+        for child, stamped in self._odometry().items():
+            if child not in fixed and child not in moving:
+                moving[child] = stamped
         nothing = np.zeros(0, dtype=np.int64)
         edges = {child: Edge(parent, nothing, matrix[None]) for child, (parent, matrix) in fixed.items()}
         for child, stamped in moving.items():
@@ -91,21 +95,46 @@ class Transforms:
             )
         return edges
 
+    def _odometry(self) -> dict[str, dict[int, tuple[str, Pose]]]:
+        """Parent and pose by time of each frame that one topic of odometry moves; of several none is chosen.
+
+        A topic without a frame or with an orientation that is none, as some wheels' odometry is, moves nothing.
+        """
+        by_topic: dict[str, dict[int, tuple[str, Pose]]] = {}
+        frame_of: dict[str, str] = {}
+        names = [topic.name for topic in self.bag.topics if topic.kind == ODOMETRY]
+        for topic, _, raw in self.bag.messages(names) if names else ():
+            message = self.bag.decode(topic, raw)
+            with guarded(self.bag.path, "an odometry"):
+                part = message.header, message.child_frame_id, message.pose.pose.position, message.pose.pose.orientation
+            try:
+                child, parent, time_ns, matrix = self._edge(*part)
+            except FileFormatError:
+                child, parent, time_ns, matrix = "", "", 0, np.eye(4)
+            frame_of[topic.name] = child if frame_of.get(topic.name, child) == child else ""
+            by_topic.setdefault(topic.name, {})[time_ns] = (parent, matrix)
+        moved = list(frame_of.values())
+        return {child: by_topic[name] for name, child in frame_of.items() if child and moved.count(child) == 1}
+
     def _listed(self, message: Any) -> list[tuple[str, str, int, Pose]]:
         with guarded(self.bag.path, "transforms"):  # a damaged definition leaves fields out
             return [self._read(transform) for transform in message.transforms]
 
     def _read(self, transform: Any) -> tuple[str, str, int, Pose]:
-        stamp, turn, translation = transform.header.stamp, transform.transform.rotation, transform.transform.translation
+        motion = transform.transform
+        return self._edge(transform.header, transform.child_frame_id, motion.translation, motion.rotation)
+
+    def _edge(self, header: Any, frame: Any, translation: Any, turn: Any) -> tuple[str, str, int, Pose]:
+        """Child, parent, time and pose of the child in the parent."""
         quaternion = np.array([turn.x, turn.y, turn.z, turn.w], dtype=np.float64)
         centre = np.array([translation.x, translation.y, translation.z], dtype=np.float64)
-        child, parent = str(transform.child_frame_id).strip("/"), str(transform.header.frame_id).strip("/")
+        child, parent = str(frame).strip("/"), str(header.frame_id).strip("/")
         norm = float(np.linalg.norm(quaternion))
         if not (np.isfinite(centre).all() and abs(norm - 1) < 1e-2):
             actual = f"rotation of length {norm:g}, translation {centre.tolist()}"
             where = f"transform of {child} in {parent}"
             raise FileFormatError(self.bag.path, where=where, expected="a unit quaternion, a place", got=actual)
-        time_ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+        time_ns = int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
         return child, parent, time_ns, pose(rotation_from_quaternion(quaternion), centre)
 
     def fixed(self, target: str, source: str) -> Pose | None:

@@ -11,24 +11,26 @@ Position is the centre. Farfield's writer adds keys that other readers may ignor
 """
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from farfield.datasets.cirrus.layout import Labels
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import FARTHEST_M, check_turns, check_yaw, is_name
+from farfield.files.json_text import plain_json
+from farfield.files.limits import check_name
 from farfield.frame import Annotation, Boxes
 from farfield.geometry.poses import quaternion_from_yaw, yaw_from_quaternion
 from farfield.vocabulary.classes import normalised_class
 
 _MAX_BYTES = 64 << 20
-_LARGEST = 1e9  # no length is larger, and squares of such numbers do not overflow
+_LARGEST = FARTHEST_M
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,7 +75,7 @@ def parse_labels(data: bytes, path: Path, settings: Labels) -> RawLabels:
         FileFormatError: As :func:`read_labels`.
     """
     try:
-        text = data.decode("utf-8")
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", got="other bytes") from error
     return _parse_text(path, text, settings) if path.suffix.lower() == ".txt" else _parse_json(path, text, settings)
@@ -81,8 +83,8 @@ def parse_labels(data: bytes, path: Path, settings: Labels) -> RawLabels:
 
 def _parse_json(path: Path, text: str, settings: Labels) -> RawLabels:
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        content = plain_json(text)
+    except ValueError as error:
         raise FileFormatError(path, where="the file", expected="JSON", got=plain(error)) from error
     if not isinstance(content, dict) or not isinstance(content.get(settings.root), list):
         raise FileFormatError(
@@ -94,11 +96,12 @@ def _parse_json(path: Path, text: str, settings: Labels) -> RawLabels:
         )
     labels = content.pop(settings.root)
     for number, label in enumerate(labels):
-        if not isinstance(label, dict) or not isinstance(label.get(settings.class_), str):
+        if not isinstance(label, dict) or not is_name(label.get(settings.class_)):
             actual = f"keys {sorted(label)[:12]}" if isinstance(label, dict) else type(label).__name__
             raise FileFormatError(
                 path, where=f"label {number}", expected=f"an object with text {settings.class_!r}", got=actual
             )
+        check_name(path, f"label {number}", label[settings.class_])
     return RawLabels(
         path=path,
         classes=tuple(label[settings.class_] for label in labels),
@@ -146,14 +149,16 @@ def _parse_text(path: Path, text: str, settings: Labels) -> RawLabels:
         if not fields:
             continue
         try:
-            values = [float(value) for value in fields[1:]]
+            digits = "".join(fields[1:])
+            values = [float(value) for value in fields[1:]] if digits.isascii() and "_" not in digits else []
         except ValueError:
             values = []
-        if len(values) != 14 or not (np.abs(values) < _LARGEST).all():
+        if len(values) != 14 or not is_name(fields[0]) or not (np.abs(values) < _LARGEST).all():
             expected = "a class and 14 finite numbers"
             raise FileFormatError(path, where=f"line {number}", expected=expected, got=repr(line[:80]))
+        check_yaw(values[13], path, f"line {number}")
         rows.append(values[7:])
-        classes.append(fields[0])
+        classes.append(check_name(path, f"line {number}", fields[0]))
     height, second, third, right, down, ahead, angle = np.array(rows, dtype=np.float64).reshape(-1, 7).T
     authors = settings.text_naming == "authors"
     length, width = (second, third) if authors else (third, second)
@@ -189,17 +194,18 @@ def boxes_from_labels(raw: RawLabels, settings: Labels, *, full: bool = False) -
         position, size = _column(raw.path, labels, "full_position", 3), _column(raw.path, labels, "full_size", 3)
     size = size[:, [settings.size_order.index(letter) for letter in "lwh"]]
     _require(raw.path, (size > 0).all(axis=1), "a positive size", size)
-    _require(raw.path, np.linalg.norm(raw.quaternion, axis=1) > 0, "a quaternion that is not zero", raw.quaternion)
     if settings.position_is == "bottom":
         position = position + np.stack([0 * size[:, 2], 0 * size[:, 2], size[:, 2] / 2], 1)
-    yaw = yaw_from_quaternion(raw.quaternion[:, [1, 2, 3, 0]] if settings.quat_order == "wxyz" else raw.quaternion)
+    quaternion = raw.quaternion[:, [1, 2, 3, 0]] if settings.quat_order == "wxyz" else raw.quaternion
+    check_turns(quaternion, raw.path, "label {}", upright=False)  # the doctor tells their order
+    yaw = yaw_from_quaternion(quaternion)
     return Boxes(
         centre_m=position,
         size_m=size,
         yaw_rad=yaw * settings.yaw_scale + np.deg2rad(settings.yaw_offset_deg),
         label=[normalised_class(name, settings.aliases) for name in raw.classes],
-        track_id=_integers(raw, "track_id"),
-        point_count=_integers(raw, "point_count_gaussian"),
+        track_id=_tracks(raw),
+        point_count=_counts(raw, "point_count_gaussian"),
     )
 
 
@@ -214,14 +220,13 @@ def annotation_from_labels(raw: RawLabels, settings: Labels) -> Annotation:
         FileFormatError: As :func:`boxes_from_labels`.
     """
     has_full = len(raw) > 0 and all("full_position" in label and "full_size" in label for label in raw.extra)
-    counts = [label.get("point_count_uniform") for label in raw.extra]
-    counted = bool(counts) and all(isinstance(count, int) for count in counts)
+    counts = _counts(raw, "point_count_uniform")
     return Annotation(
         boxes=boxes_from_labels(raw, settings),
         original_label=raw.classes,
         extent="visible",
         full_boxes=boxes_from_labels(raw, settings, full=True) if has_full else None,
-        details={"point_count_uniform": np.array(counts, dtype=np.int64)} if counted else {},
+        details={} if counts is None or (counts < 0).any() else {"point_count_uniform": counts},
     )
 
 
@@ -231,17 +236,32 @@ def _require(path: Path, good: Any, expected: str, values: Any) -> None:
         raise FileFormatError(path, where=f"label {number}", expected=expected, got=str(values[number].tolist()))
 
 
-def _integers(raw: RawLabels, key: str) -> Any:
-    """Integers under ``key``, -1 where absent, None if absent everywhere; other names become stable numbers."""
+def _counts(raw: RawLabels, key: str) -> Int[np.ndarray, " n"] | None:
+    """Numbers of points under ``key``, -1 where absent, None if absent everywhere."""
     values = [label.get(key) for label in raw.extra]
+    for number, value in enumerate(values):
+        if value is not None and not (type(value) is int and -1 <= value < 1 << 53):
+            raise FileFormatError(
+                raw.path, where=f"label {number}", expected=f"a number of points as {key!r}", got=repr(value)[:80]
+            )
     if all(value is None for value in values):
         return None
-    return np.array([_integer(value) for value in values], dtype=np.int64)
+    return np.array([-1 if value is None else value for value in values], dtype=np.int64)
 
 
-def _integer(value: Any) -> int:
+def _tracks(raw: RawLabels) -> Int[np.ndarray, " n"] | None:
+    """Tracks, -1 where absent, None if absent everywhere; names become stable numbers."""
+    values = [label.get("track_id") for label in raw.extra]
+    for number, value in enumerate(values):
+        if value is not None and not is_name(value) and not (type(value) is int and -1 <= value < 1 << 63):
+            expected = "a whole number from -1 on, or a name, as 'track_id'"
+            raise FileFormatError(raw.path, where=f"label {number}", expected=expected, got=repr(value)[:80])
+    if all(value is None for value in values):
+        return None
+    return np.array([_track(value) for value in values], dtype=np.int64)
+
+
+def _track(value: int | str | None) -> int:
     if value is None:
         return -1
-    if isinstance(value, int) and -1 <= value < 1 << 63:
-        return value
-    return int.from_bytes(hashlib.sha256(str(value).encode()).digest()[:7], "big")
+    return int.from_bytes(hashlib.sha256(value.encode()).digest()[:7], "big") if isinstance(value, str) else value

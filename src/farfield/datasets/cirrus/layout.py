@@ -18,22 +18,19 @@ from typing import Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from farfield.errors import ConfigError, DatasetError, plain
 from farfield.files.atomic import read_bytes
+from farfield.files.stamps import name_time_ns
 from farfield.files.suffixes import pattern_in_any_case
-from farfield.files.yaml_text import plain_yaml
+from farfield.files.yaml_text import MAX_BYTES, PlainSettings, plain_yaml
 from farfield.vocabulary.classes import CIRRUS_CLASSES
 
 # The mapping file: one key for every fact that the release leaves uncertain.
 
 
-class _MappingModel(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class FolderLayout(_MappingModel):
+class FolderLayout(PlainSettings):
     """Glob patterns of the four folders within one ``Cirrus_dataset<N>``; ``{n}`` is its number."""
 
     gaussian: str = "dataset{n}_gaussian/*.xyz"
@@ -57,7 +54,7 @@ AUTHORS_LAYOUT = FolderLayout(
 )
 
 
-class ColumnNames(_MappingModel):
+class ColumnNames(PlainSettings):
     """Names of the columns of each pattern's files. Files may have more or fewer extra ones."""
 
     gaussian: tuple[str, ...] = ("x", "y", "z", "intensity", "extra0")
@@ -71,7 +68,7 @@ class ColumnNames(_MappingModel):
         return names
 
 
-class Xyz(_MappingModel):
+class Xyz(PlainSettings):
     """How to read the ASCII clouds."""
 
     delimiter: str = "auto"
@@ -80,7 +77,7 @@ class Xyz(_MappingModel):
     on_extra_columns: Literal["keep", "drop"] = "keep"
 
 
-class Labels(_MappingModel):
+class Labels(PlainSettings):
     """How to read the annotations."""
 
     root: str = "labels"
@@ -94,7 +91,7 @@ class Labels(_MappingModel):
     yaw_scale: float = Field(1.0, description="factor on the yaw read; 57.29577951308232 fixes degrees taken twice")
     yaw_offset_deg: float = 0.0
     text_naming: Literal["authors", "kitti"] = "authors"
-    aliases: dict[str, str] = {}
+    aliases: dict[str, str] = Field(default_factory=dict)
 
     @field_validator("aliases")
     @classmethod
@@ -105,7 +102,7 @@ class Labels(_MappingModel):
         return aliases
 
 
-class Pairing(_MappingModel):
+class Pairing(PlainSettings):
     """How the uniform sweep and the image of a Gaussian sweep are found."""
 
     mode: Literal["nearest", "order"] = "nearest"
@@ -113,14 +110,14 @@ class Pairing(_MappingModel):
     key: Literal["gaussian", "uniform"] = "gaussian"
 
 
-class Calib(_MappingModel):
+class Calib(PlainSettings):
     """Where the camera's calibration stands; relative to the data set's root."""
 
     file: str | None = None
     convention: Literal["lidar_to_cam", "cam_to_lidar"] = "lidar_to_cam"
 
 
-class Axes(_MappingModel):
+class Axes(PlainSettings):
     """Directions of the clouds' axes. Only the documented ones are read; others need ``Dataset.moved``."""
 
     x: Literal["forward"] = "forward"
@@ -128,20 +125,20 @@ class Axes(_MappingModel):
     z: Literal["up"] = "up"
 
 
-class Splits(_MappingModel):
+class Splits(PlainSettings):
     """Unit and file of the split."""
 
     unit: Literal["segment"] = "segment"
     file: str = "splits/cirrus_v1.json"
 
 
-class Segments(_MappingModel):
+class Segments(PlainSettings):
     """How drives are separated: a pause longer than ``gap_s`` begins a new segment."""
 
     gap_s: float = Field(1.0, gt=0)
 
 
-class Mapping(_MappingModel):
+class Mapping(PlainSettings):
     """Everything a mapping file may say."""
 
     layout: FolderLayout | None = None
@@ -161,17 +158,15 @@ def read_mapping(path: Path | str) -> Mapping:
         ConfigError: If it cannot be read, is no YAML, or has an unknown key or an impossible value.
     """
     try:
-        content = plain_yaml(read_bytes(path, max_bytes=_MAX_MAPPING_BYTES).decode("utf-8"))
+        content = plain_yaml(read_bytes(path, max_bytes=MAX_BYTES))
         return Mapping.model_validate({} if content is None else content)
     except ValidationError as error:
         raise ConfigError(f"{path}: {plain(error)}") from error
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+    except (OSError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: expected a mapping file in YAML, found: {plain(error)}") from error
 
 
-_MAX_MAPPING_BYTES = 1 << 20
 KINDS = ("gaussian", "uniform", "camera", "labels")
-_NANOSECONDS = re.compile(r"\d{16,19}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +206,7 @@ def time_of(path: Path) -> int | None:
     >>> time_of(Path("1558131117608556768.xyz")), time_of(Path("000001.xyz"))
     (1558131117608556768, None)
     """
-    return int(path.stem) if _NANOSECONDS.fullmatch(path.stem) else None
+    return name_time_ns(path.stem)
 
 
 def find_parts(root: Path, mapping: Mapping) -> list[CirrusPart]:

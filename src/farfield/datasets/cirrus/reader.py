@@ -26,6 +26,7 @@ from farfield.files.images import read_image
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.frame import Annotation, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import read_rows, returned
+from farfield.geometry.poses import unrigid
 from farfield.vocabulary.patterns import PATTERNS
 
 # Sweeps: one .xyz file as a cloud.
@@ -283,21 +284,21 @@ class Cirrus(Dataset):
 
 
 def _conditions(raw: RawLabels | None) -> dict[str, str]:
-    value = raw.root.get("conditions") if raw else None
+    value = None if raw is None else raw.root.get("conditions")
     if not isinstance(value, dict):
         return {}
     return {str(name): str(text) for name, text in value.items()}
 
 
 def _pose(raw: RawLabels | None) -> Any:
-    value = raw.root.get("world_T_lidar") if raw else None
+    value = None if raw is None else raw.root.get("world_T_lidar")
     if value is None:
         return None
     try:
         matrix = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         matrix = np.zeros(0)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        assert raw is not None
-        raise FileFormatError(raw.path, where="world_T_lidar", expected="4 x 4 finite numbers", got=repr(value)[:80])
+    assert raw is not None
+    if fault := unrigid(matrix):
+        raise FileFormatError(raw.path, where="world_T_lidar", expected="a rigid motion, 4 x 4", got=fault)
     return matrix

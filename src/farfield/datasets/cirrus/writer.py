@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.calibration import write_calibration
+from farfield.datasets.losses import Capacity
 from farfield.errors import DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.images import write_image
@@ -18,6 +19,29 @@ from farfield.geometry.poses import quaternion_from_yaw
 
 _EXTRA_COLUMNS = {"gaussian": 1, "uniform": 4}
 _DECIMALS = (4, 4, 4, 6)
+
+CIRRUS_HOLDS = Capacity(
+    title="Cirrus' layout",
+    read_by="cirrus",
+    holds=frozenset(
+        {"times", "poses", "conditions", "distortion", "tracks", "point counts", "empty frames", "other boxes"}
+    ),
+    together=("gaussian", "uniform"),
+    columns=frozenset(f"extra{number}" for number in range(_EXTRA_COLUMNS["uniform"])),
+    pictures="first",
+    attributes=frozenset({"point_count_uniform"}),
+    aliases={},
+    extent="visible",
+    file_names=None,
+    annotated_only=frozenset({"poses", "conditions"}),
+    rounding="points to 0.1 mm, intensities to 1e-6, further columns to whole numbers",
+    jpeg=True,
+    reasons={
+        "names": "frames are named by their times, drives are counted",
+        "times": "made up, 0.1 s apart: not all are known, or drives lie less than a second apart",
+        "extent": "boxes are taken for those of the visible part",
+    },
+)
 
 
 class CirrusWriter:

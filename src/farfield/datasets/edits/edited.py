@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
-from farfield.datasets.edits.journal import FOLDER, JOURNAL, Cell, Record, label_of, read_journal
+from farfield.datasets.edits.journal import FOLDER, JOURNAL, Cell, Record, check_values, label_of, read_journal
 from farfield.datasets.frame_maps import Earlier
 from farfield.datasets.labels.formats import BoxLabel
 from farfield.errors import ConfigError, DatasetError
@@ -74,7 +74,7 @@ class Edited:
     upto: int | None = None
 
     def __post_init__(self) -> None:
-        count = len(read_journal(self.path, _passed_over).starts)
+        count = len(read_journal(self.path, check_values).starts)
         if self.upto is None:
             object.__setattr__(self, "upto", count)
         elif self.upto > count:
@@ -126,10 +126,6 @@ class Edited:
         return {"edits": self.edits, "upto": self.upto}
 
 
-def _passed_over(record: Record) -> None:
-    del record
-
-
 class _AppliedEdits:
     """Gathers the edits up to one of them; saves count all, as the files may have been saved later."""
 
@@ -140,6 +136,7 @@ class _AppliedEdits:
         self.extent: str | None = None
 
     def __call__(self, record: Record) -> None:
+        check_values(record)
         if record.op == "save" and (record.data or {}).get("files"):
             self.saves.append(record.seq)
         for cell, _, old, new in record.changes:

@@ -17,7 +17,6 @@ import hashlib
 import itertools
 import json
 import os
-import tempfile
 import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,8 +24,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from farfield.datasets.labels.formats import BoxLabel, Numbers
-from farfield.errors import DatasetError, FileFormatError, plain
+from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
+from farfield.files.json_text import plain_json
+from farfield.files.limits import open_file
+from farfield.files.outputs import check_writable
 from farfield.frame import Key
+from farfield.vocabulary.counts import count_of
 
 Cell = tuple[str, ...]
 """What is edited: ``("box", sequence, frame, object)``, ``("track", drive, track)``, ``("extent",)``..."""
@@ -88,10 +91,10 @@ def track_cell(drive: str, track: str) -> Cell:
 
 
 def encode(record: Record) -> bytes:
-    """The line of an edit.
+    """The line of an edit, as :func:`decode` reads it: one that cannot be read would shut the whole journal.
 
     Raises:
-        ValueError: If a number in it is not finite.
+        ValueError: If a number in it is not finite or beyond 64 bits, or anything else that a line cannot hold.
     """
     fields: dict[str, Json] = {
         "seq": record.seq,
@@ -104,7 +107,9 @@ def encode(record: Record) -> bytes:
     optional = {"changes": record.changes, "group": record.group, "undoes": record.undoes, "data": record.data}
     fields |= {name: value for name, value in optional.items() if value}
     text = json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()
-    return b"%08x %s\n" % (zlib.crc32(text), text)
+    line = b"%08x %s\n" % (zlib.crc32(text), text)
+    decode(line)
+    return line
 
 
 def decode(line: bytes) -> Record:
@@ -119,9 +124,9 @@ def decode(line: bytes) -> Record:
     if line[8:9] != b" " or line[:8] != b"%08x" % zlib.crc32(text):
         raise ValueError("a line that does not fit its checksum")
     try:
-        fields = json.loads(text)
+        fields = plain_json(text)
         return _record(fields)
-    except (KeyError, TypeError, RecursionError) as error:
+    except (KeyError, TypeError) as error:
         raise ValueError(f"a line that is no edit ({plain(error)})"[:160]) from None
 
 
@@ -135,15 +140,17 @@ def decode_all(lines: Sequence[bytes]) -> list[Record]:
         if line[-1:] != b"\n" or line[8:9] != b" " or line[:8] != b"%08x" % zlib.crc32(line[9:-1]):
             raise ValueError("a line that does not fit its checksum")
     try:
-        records = json.loads(b"[%s]" % b",".join(line[9:-1] for line in lines))
+        records = plain_json(b"[%s]" % b",".join(line[9:-1] for line in lines))
         if len(records) != len(lines):
             raise ValueError("a line that is no edit")
         return [_record(fields) for fields in records]
-    except (KeyError, TypeError, RecursionError) as error:
+    except (KeyError, TypeError) as error:
         raise ValueError(f"a line that is no edit ({type(error).__name__})") from None
 
 
-def _record(fields: Mapping[str, Json]) -> Record:
+def _record(fields: Json) -> Record:
+    if not isinstance(fields, dict):
+        raise TypeError(f"a {type(fields).__name__} in its place")
     changes = tuple(CellEdit(tuple(cell), base, old, new) for cell, base, old, new in fields.get("changes", ()))
     record = Record(
         fields["seq"],
@@ -165,9 +172,82 @@ def _record(fields: Mapping[str, Json]) -> Record:
         sound = sound and type(base) is int
         for part in cell:
             sound = sound and type(part) is str
+    sound = sound and isinstance(record.group, str | None) and isinstance(record.data, dict | None)
     if not sound:
         raise TypeError("a field of another kind than it must be")
     return record
+
+
+# What cells and data hold: who reads a journal checks it, so that nothing behind meets a value of another form.
+
+_PARTS = {"box": 4, "track": 3, "bookmark": 3, "ignored": 2, "extent": 1}
+
+
+def check_values(record: Record) -> None:
+    """Check what an edit says of boxes, tracks, notes, saved files and times.
+
+    Raises:
+        ValueError: If a cell has other parts than its kind, or a value is none of its kind.
+    """
+    for cell, _, old, new in record.changes:
+        _check_change(cell, old, new)
+    _check_data(record.data or {})
+
+
+def _check_change(cell: Cell, *values: Json) -> None:
+    """Check the values of a cell before and after; cells of other kinds may hold anything."""
+    kind = cell[0] if cell else ""
+    if len(cell) != _PARTS.get(kind, max(1, len(cell))):
+        raise ValueError(f"a cell of other parts than it must have, {'/'.join(cell)[:80]!r}")
+    for value in values:
+        if value is None:
+            continue
+        if kind == "box":
+            if not isinstance(value, dict):
+                raise ValueError(f"expected the value of a box, got {str(value)[:80]}")
+            label_of(cell[3], value)
+        elif kind == "track" and not _is_track(value):
+            raise ValueError(f"expected what holds for a track, got {str(value)[:80]}")
+        elif kind == "extent" and value not in ("full", "visible"):
+            raise ValueError(f"expected full or visible, got {str(value)[:80]}")
+        elif kind in ("bookmark", "ignored") and not isinstance(value, str):
+            raise ValueError(f"expected a note, got {str(value)[:80]}")
+
+
+def _is_track(value: Json) -> bool:
+    if not isinstance(value, dict) or not value.keys() <= {"locked", "ends", "label", "size"}:
+        return False
+    texts = all(isinstance(value.get(name, ""), str) for name in ("ends", "label"))
+    size = value.get("size", [1, 1, 1])
+    return texts and isinstance(size, list) and len(size) == 3 and all(is_number(side) and side > 0 for side in size)
+
+
+def _check_data(data: Mapping[str, Json]) -> None:
+    """Check the files that a save names, and what a box took to annotate."""
+    files = data.get("files", {})
+    if not isinstance(files, dict) or not all(isinstance(state, str) for state in files.values()):
+        raise ValueError(f"expected states of files by name, got {str(files)[:80]}")
+    written = data.get("written")
+    if written is not None and not _is_save(written):
+        raise ValueError(f"expected what a save wrote, got {str(written)[:80]}")
+    if "seconds" in data:
+        frame = data.get("frame")
+        sound = isinstance(frame, list) and len(frame) == 2 and all(isinstance(part, str) for part in frame)
+        sound = sound and isinstance(data.get("box"), str) and type(data.get("edits")) is int
+        if not (sound and is_number(data["seconds"])):
+            raise ValueError(f"expected frame, box, seconds and edits, got {str(data)[:80]}")
+
+
+def _is_save(value: Json) -> bool:
+    if not isinstance(value, dict) or value.keys() != {"seq", "folder", "format", "left"}:
+        return False
+    counts = all(type(value[name]) is int and value[name] >= 0 for name in ("seq", "left"))
+    return counts and isinstance(value["folder"], str) and isinstance(value["format"], str)
+
+
+def is_number(value: Json) -> bool:
+    """Whether a value of JSON is a number, which truth values are not."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 # A box of a frame as the journal writes it.
@@ -208,6 +288,15 @@ def label_of(name: str, value: Mapping[str, Any]) -> BoxLabel:
     if not isinstance(value, Mapping) or not {"label", "box"} <= value.keys() <= fields:
         raise ValueError(f"expected the value of a box, got {str(value)[:80]}")
     more = {field: value[field] for field, _ in _PLAIN if field in value}
+    attributes, score = more.get("attributes", {}), more.get("score")
+    texts = all(isinstance(more.get(field, ""), str) for field in ("track", "state", "source"))
+    plain = isinstance(attributes, dict) and all(isinstance(item, str | int | float) for item in attributes.values())
+    if not (texts and plain and isinstance(value["label"], str) and (score is None or is_number(score))):
+        raise ValueError(f"expected the value of a box, got {str(value)[:80]}")
+    if value.get("proposal") is not None:
+        numbers(value["proposal"])
+    if score is not None:
+        more["score"] = float(score)  # JSON writes 1.0 as 1 where JavaScript wrote it
     return BoxLabel(id=name, label=str(value["label"]), box=numbers(value["box"]), **more)
 
 
@@ -217,7 +306,7 @@ def numbers(box: Any) -> Numbers:
     Raises:
         ValueError: If they are not seven numbers.
     """
-    if len(box) != 7 or not all(isinstance(number, int | float) for number in box):
+    if not isinstance(box, list | tuple) or len(box) != 7 or not all(map(is_number, box)):
         raise ValueError(f"expected seven numbers of a box, got {str(box)[:80]}")
     x, y, z, length, width, height, yaw = map(float, box)
     return x, y, z, length, width, height, yaw
@@ -260,7 +349,7 @@ def read_journal(path: Path, take: Callable[[Record], None]) -> Replay:
     collecting = gc.isenabled()
     gc.disable()  # nothing of an edit is cyclic, and looking for it takes a third of the time
     try:
-        with path.open("rb") as handle:
+        with open_file(path, max_bytes=None) as handle:
             lines = iter(lambda: handle.readline(LONGEST_LINE), b"")
             block = list(itertools.islice(lines, _BLOCK))
             while block:
@@ -318,7 +407,8 @@ class _Reading:
 
 def _broken(path: Path, line: int, expected: str, actual: str) -> FileFormatError:
     fix = (
-        f"The edits of the {line - 1} lines before it are sound: to go on with those, keep a copy and cut the file "
+        f"The edits of the {count_of(line - 1, 'line')} before it are sound: "
+        "to go on with those, keep a copy and cut the file "
         f"there (head -n {line - 1})."
     )
     return FileFormatError(path, where=f"line {line}", expected=expected, got=actual, fix=fix)
@@ -364,11 +454,11 @@ def user_folder(labels: Path) -> Path:
 
 def _writable(folder: Path) -> bool:
     try:
+        check_writable(folder)  # before the folder is made: on a full disk none is left
         folder.mkdir(exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
+    except (OSError, ConfigError):
         return False
+    return True
 
 
 # What the edits add up to: the present value of every cell that was touched.

@@ -64,6 +64,19 @@ def checked_axes(label_axes: str) -> None:
         raise ConfigError(f"label_axes: expected one of {', '.join(LABEL_AXES)}, got {label_axes!r}")
 
 
+def check_objects(objects: KittiObjects, path: Path) -> None:
+    """Refuse boxes that would be lost or turned: those of one or two sizes, and yaws in degrees.
+
+    Raises:
+        FileFormatError: If there is one.
+    """
+    for line, yaw_rad, sizes in zip(objects.line, objects.rotation_y_rad, objects.size_m, strict=True):
+        check_yaw(float(yaw_rad), path, f"line {line}")
+        if (sizes > 0).any() and not (sizes > 0).all():
+            expected = "three positive sizes, or none of an object without a 3D box"
+            raise FileFormatError(path, where=f"line {line}", expected=expected, got=repr(sizes.tolist()))
+
+
 def boxes_in_axes(
     objects: KittiObjects,
     camera_T_lidar: Float[np.ndarray, "4 4"],
@@ -86,11 +99,7 @@ def boxes_in_axes(
             down: no camera stands so.
         FileFormatError: If a yaw is in degrees, or an object has some of the three sizes.
     """
-    for line, yaw_rad, sizes in zip(objects.line, objects.rotation_y_rad, objects.size_m, strict=True):
-        check_yaw(float(yaw_rad), path, f"line {line}")
-        if (sizes > 0).any() and not (sizes > 0).all():
-            expected = "three positive sizes, or none of an object without a 3D box"
-            raise FileFormatError(path, where=f"line {line}", expected=expected, got=repr(sizes.tolist()))
+    check_objects(objects, path)
     if label_axes != "camera":
         return boxes_in_lidar(objects, bottom=label_axes == "lidar-bottom", classes=classes)
     if camera_T_lidar[1, 2] > _MOST_UP and objects.has_box.any():

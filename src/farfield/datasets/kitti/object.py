@@ -23,21 +23,22 @@ from farfield.datasets.kitti.boxes import (
     objects_from_boxes,
     sized_camera,
 )
-from farfield.errors import ConfigError, DatasetError, FileFormatError
-from farfield.files.atomic import write_text
+from farfield.datasets.losses import Capacity
+from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
+from farfield.files.atomic import read_bytes, write_text
 from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
 from farfield.files.point_times import PointTimes
-from farfield.files.stand_ins import check_itself
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import read_radar_rows
-from farfield.vocabulary.classes import KITTI_FROM_CIRRUS
+from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, KITTI_FROM_CIRRUS
 
 _IMAGE_SUFFIXES = (".png", ".jpg")
 _CLOUDS = f"velodyne/*{any_case('.bin')}"
 _COLUMNS = 4
+_LIST_BYTES = 64 << 20
 
 
 class Kitti(Dataset):
@@ -120,8 +121,11 @@ class Kitti(Dataset):
         for name in ("train", "val", "test"):
             path = self.root / "ImageSets" / f"{name}.txt"
             if path.is_file():
-                check_itself(path)
-                parts[name] = path.read_text("ascii").split()
+                try:
+                    parts[name] = read_bytes(path, max_bytes=_LIST_BYTES).decode("ascii").split()
+                except UnicodeDecodeError as error:
+                    expected = "numbers of frames, one a line"
+                    raise FileFormatError(path, where="the list", expected=expected, got=plain(error)) from error
         return parts or super().split_parts()
 
     def _file(self, index: int, kind: str, suffix: str) -> Path | None:
@@ -189,7 +193,7 @@ def _read_annotation(
 # elevation. ``Tr_velo_to_cam`` goes from the radar to the camera.
 
 COLUMNS = ("x", "y", "z", "v_r_m_s", "range_m", "power_db", "azimuth_deg", "elevation_deg")
-_RANGE = COLUMNS.index("range_m")
+_RANGE, _RANGE_WITHIN_M, _RANGE_SHARE = COLUMNS.index("range_m"), 0.1, 0.01
 
 
 def is_tj4dradset(root: Path) -> bool:
@@ -231,6 +235,15 @@ def read_radar(path: Path) -> Cloud:
         FileFormatError: If the file is damaged.
     """
     rows, missing = read_radar_rows(path, len(COLUMNS))
+    distance_m = np.linalg.norm(rows[:, :3].astype(np.float64), axis=1)
+    if not (np.abs(rows[:, _RANGE] - distance_m) < _RANGE_WITHIN_M + _RANGE_SHARE * distance_m).all():
+        raise FileFormatError(
+            path,
+            where="column 5, the range",
+            expected="the distance of x, y, z",
+            got="others",
+            fix=f"The file is damaged, or no table of {len(COLUMNS)} columns of TJ4DRadSet's.",
+        )
     extra = {name: np.ascontiguousarray(rows[:, number]) for number, name in enumerate(COLUMNS) if number > 2}
     return Cloud(rows[:, :3].copy(), None, {**extra, "doppler_m_s": extra["v_r_m_s"]}, missing)
 
@@ -241,6 +254,30 @@ _SUFFIXES = {"velodyne": "bin", "calib": "txt", "label_2": "txt", "image_2": "pn
 # Stands in where a data set has no calibration: the image size of Cirrus, looking along x, 79 degrees wide.
 VIRTUAL_CAMERA = Camera(
     matrix=np.array([[1173.0, 0.0, 959.5], [0.0, 1173.0, 324.5], [0.0, 0.0, 1.0]]), width_px=1920, height_px=650
+)
+
+
+def spelled_in_kitti(label: str) -> str:
+    """A class as KITTI's files spell it: KITTI's name of ours, or its own without blanks."""
+    return KITTI_FROM_CIRRUS.get(label) or "_".join(label.split())
+
+
+KITTI_HOLDS = Capacity(
+    title="KITTI's folders",
+    read_by="kitti",
+    holds=frozenset({"scores", "empty frames"}),
+    pictures="first calibrated",
+    attributes=frozenset({"occlusion"}),
+    spelled=spelled_in_kitti,
+    aliases=CIRRUS_FROM_KITTI,
+    field_of_camera=True,
+    file_names=None,
+    reasons={
+        "names": "files are numbered; frames.csv tells which is which",
+        "region": "labels are read again as those of the camera's field",
+        "distortion": "rectify the images beforehand",
+        "attributes": "2D boxes, truncation and alpha are made anew",
+    },
 )
 
 

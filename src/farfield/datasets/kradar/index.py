@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 from farfield.datasets.kradar.labels import MAX_BYTES, parse_text
@@ -76,21 +77,64 @@ def spellings(product: str, sequence: str, index: int) -> tuple[Path, ...]:
     path = product_path(product, sequence, index)
     if product == "cube":
         return path, path.parents[1] / "radar_xyz_cube" / path.name
+    if product == "corridor":  # as the development kit's settings call its folder
+        return path, Path("sp_rdr_cube_corridor", *path.parts[1:])
     if product in CAMERAS:
         other = product.replace("-", "_")
         return path, *(path.parents[1] / other / name for name in (path.name, path.name.replace(product, other)))
     return (path,)
 
 
+DISKS = "dir_*to*"
+"""Folders of the authors' disks, as their docs/dataset.md calls them: ``dir_2to5``, ``dir_1to20``, ``dir_21to37``..."""
+CONTAINERS = ("kradar_dataset", "rdr_pc", "rdr_sparse_data", "dir_sp_rdr_cube")
+"""Folders in which the development kit's settings keep disks or sparse clouds, beside or within a root."""
+
+
 def with_disks(roots: Iterable[Path]) -> tuple[Path, ...]:
-    """Roots and, after each, the folders of its disks, as the authors call them: ``dir_1to20``, ``dir_21to37``..."""
-    return tuple(path for root in roots for path in (root, *sorted(p for p in root.glob("dir_*to*") if p.is_dir())))
+    """Roots and, after each, the folders of its disks and of its sparse clouds: where anything of K-Radar may stand.
+
+    Every verb comes through here. Of a sequence's own folder, such as ``dir_1to20/1``, the roots are those that hold
+    it: its parent's and, of a disk, those around the disk.
+    """
+    folders: list[Path] = []
+    for root in roots:
+        for base in (root, *_around(root)) if is_sequence_folder(root) else (root,):
+            folders += [] if base is root and is_sequence_folder(root) else [base]
+            for disk in (base, *(base / name for name in CONTAINERS)):
+                disks = sorted(folder for folder in disk.glob(DISKS) if folder.is_dir())
+                folders += [*([disk] if disk is not base and disk.is_dir() else []), *disks]
+    return tuple(dict.fromkeys(folders))
+
+
+def _around(folder: Path) -> list[Path]:
+    """The folders that hold a sequence's folder: its parent, and that of a disk's folder."""
+    parent = folder.absolute().parent
+    return [parent, parent.parent] if fnmatch(parent.name, DISKS) else [parent]
+
+
+def is_sequence_folder(folder: Path) -> bool:
+    """Whether a folder is one sequence's: called by its number, with a product, a sensor or annotations in it."""
+    own = [product_path(product, "*", 0).parts[1] for product in RADAR_PRODUCTS if _stands_in_sequence(product)]
+    if not is_sequence(folder.absolute().name):
+        return False
+    return any((folder / name).is_dir() for name in (*own, *LIDARS, "info_label", "radar_xyz_cube"))
+
+
+def _stands_in_sequence(product: str) -> bool:
+    return product_path(product, "*", 0).parts[0] == "*"
+
+
+def only_sequence(root: Path) -> str:
+    """Name of the one sequence that a folder is of; empty where it holds sequences."""
+    return root.absolute().name if is_sequence_folder(root) else ""
 
 
 def find_sequences(roots: Sequence[Path]) -> list[str]:
     """Sequences of which some product, LiDAR sweep or annotation stands below one of the roots, in order."""
     patterns = [product_path(product, "*", 0).parent for product in (*RADAR_PRODUCTS, *LIDARS)]
-    patterns += [Path("*", "radar_xyz_cube"), *(Path(tree.format(seq="*")) for t in LABEL_TREES.values() for tree in t)]
+    patterns += [Path("*", "radar_xyz_cube"), Path("sp_rdr_cube_corridor", "*")]
+    patterns += [*(Path(tree.format(seq="*")) for t in LABEL_TREES.values() for tree in t)]
     names: set[str] = set()
     for pattern in patterns:
         level = next(number for number, part in enumerate(pattern.parts) if "*" in part)

@@ -62,6 +62,11 @@ class KRadarLabelFormat:
         """``availability``, where the version has it."""
         return {"availability": AVAILABILITY} if self.name.endswith(".1") else {}
 
+    @property
+    def needs_tracks(self) -> bool:
+        """Whether each object is written with a track: it is, but for version 1."""
+        return not self.name.startswith("kradar-v1")
+
     @cached_property
     def _index(self) -> dict[Key, int]:
         return {key: index for index, key in enumerate(self.data.keys)}
@@ -76,7 +81,7 @@ class KRadarLabelFormat:
         entry = self.data.entries[self._of(key)]
         if entry.label is not None:
             return entry.label
-        return self.data.root / LABEL_TREES[_NEWEST][-1].format(seq=entry.sequence) / f"{entry.stem}.txt"
+        return self.data.roots[0] / LABEL_TREES[_NEWEST][-1].format(seq=entry.sequence) / f"{entry.stem}.txt"
 
     def parse(self, data: bytes, path: Path, keys: Sequence[Key]) -> Mapping[Key, tuple[BoxLabel, ...]]:
         """The objects with a box, in the file's order."""

@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from farfield.datasets.kradar.index import KRadarFiles
-from farfield.datasets.kradar.labels import MAX_BYTES, parse_text
+from farfield.datasets.kradar.labels import MAX_BYTES, MOST_DEG, check_version, parse_text
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.errors import FarfieldError
 from farfield.files.atomic import read_bytes
+from farfield.files.limits import MAX_NAME
 from farfield.frame import Boxes
 from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.vocabulary.classes import CIRRUS_FROM_KRADAR, normalised_class
@@ -52,6 +53,8 @@ DEFECTS = {
     "doubled_track": "objects whose track stands twice in a frame",
     "odd_index": "frames whose radar and LiDAR indices differ from the file's name",
 }
+SINGLE = {"files": "file", "objects": "object", "yaws": "yaw", "boxes": "box", "frames": "frame"}
+"""The first words of these, of a single one."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -183,10 +186,11 @@ def _read_block(unit: Unit) -> UnitResult:
 def _read(entry: KRadarFiles, path: Path, rows: _LabelColumns) -> None:
     data = read_bytes(path, max_bytes=MAX_BYTES)
     match = _FILE_RE.fullmatch(data.decode("utf-8", errors="replace"))
-    if match is None:
+    lines = [] if match is None else _LINE_RE.findall(match[9])
+    if match is None or any(len(line[3]) > MAX_NAME or abs(float(line[7])) > MOST_DEG for line in lines):
         _read_slowly(data, entry, path, rows)
         return
-    lines = _LINE_RE.findall(match[9])
+    check_version(((bool(row[0]), 2 if row[2] else 1) for row in lines), entry.version or "", path)
     rows.frames.append((entry.sequence, entry.stem, entry.version or ""))
     rows.headers.append((*map(int, match.groups()[:5]), int(match[6] + match[7])))
     rows.counts.append(len(lines))
@@ -196,6 +200,7 @@ def _read(entry: KRadarFiles, path: Path, rows: _LabelColumns) -> None:
 
 def _read_slowly(data: bytes, entry: KRadarFiles, path: Path, rows: _LabelColumns) -> None:
     text = parse_text(data, path)
+    check_version(((bool(line.availability), len(line.numbers)) for line in text.lines), entry.version or "", path)
     indices = [text.indices.get(name, -1) for name in INDEX_NAMES]
     rows.frames.append((entry.sequence, entry.stem, entry.version or ""))
     rows.headers.append((*indices, -1 if text.time_ns is None else text.time_ns))

@@ -13,7 +13,7 @@ os2-64's frame::
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,11 +23,14 @@ from jaxtyping import Int
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
+from farfield.files.cuboids import is_name
+from farfield.files.limits import check_name
 from farfield.frame import Annotation, Boxes, Footprints
 from farfield.vocabulary.classes import CIRRUS_FROM_KRADAR, KRADAR_FROM_CIRRUS, normalised_class
 
 MAX_BYTES = 4 << 20
 _LARGEST = 1e6
+MOST_DEG = 720.0
 _OBJECT = re.compile(r"([*#])\s*,")  # an object may stand on the header's line
 _HEADER = re.compile(
     r"\*\s*idx\s*\([^)]*\)\s*=\s*(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})_(-?\d{1,9})\s*,"
@@ -60,13 +63,17 @@ class KRadarLabels:
     from_above: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
 
-def read_labels(path: Path) -> KRadarLabels:
+def read_labels(path: Path, version: str = "") -> KRadarLabels:
     """Read one annotation file of any version.
 
+    Args:
+        path: The file.
+        version: The version that its folder names; empty where it is not known.
+
     Raises:
-        FileFormatError: If it is damaged.
+        FileFormatError: If it is damaged, or has objects of another version.
     """
-    return parse_labels(read_bytes(path, max_bytes=MAX_BYTES), path)
+    return parse_labels(read_bytes(path, max_bytes=MAX_BYTES), path, version)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,15 +113,20 @@ def parse_text(data: bytes, path: Path | str) -> LabelText:
     Raises:
         FileFormatError: As :func:`parse_labels`.
     """
-    text = data.decode("utf-8", errors="replace")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        actual = f"byte 0x{data[error.start]:02x}"
+        raise FileFormatError(path, where=f"byte {error.start}", expected="UTF-8 text", got=actual) from None
     marks = list(_OBJECT.finditer(text))
     header = text[: marks[0].start()] if marks else text
     indices, time_ns = _parse_header(header, path)
-    lines, above = [], []
+    lines, above, line, counted = [], [], 1, 0
     for number, mark in enumerate(marks):
         end = marks[number + 1].start() if number + 1 < len(marks) else len(text)
         cells = [cell.strip() for cell in text[mark.end() : end].strip().rstrip(",").split(",")]
-        where = f"line {text.count(chr(10), 0, mark.start()) + 1}"
+        line, counted = line + text.count("\n", counted, mark.start()), mark.start()
+        where = f"line {line}"
         if mark[1] == "#":
             above.append(_parse_from_above(cells, path, where))
         else:
@@ -129,13 +141,34 @@ def parse_text(data: bytes, path: Path | str) -> LabelText:
     )
 
 
-def parse_labels(data: bytes, path: Path | str) -> KRadarLabels:
-    """Parse the content of an annotation file; ``path`` is for messages.
+def check_version(forms: Iterable[tuple[bool, int]], version: str, path: Path | str) -> None:
+    """Refuse objects of another version than the file's: their tracks or availabilities would be lost.
+
+    Args:
+        forms: Of each object whether it has an availability, and how many whole numbers.
+        version: The file's version; empty where it is not known, so that all objects are to be of one.
+        path: The file, for messages.
 
     Raises:
-        FileFormatError: If the header or an object is not of a form above, or a number is not finite.
+        FileFormatError: If there is one.
+    """
+    for number, (flagged, numbers) in enumerate(forms):
+        version = version or f"v{3 - numbers}.{int(flagged)}"
+        if flagged != version.endswith(".1") or (version.startswith("v2") and numbers > 1):
+            before = "R, L or L1, " if version.endswith(".1") else ""
+            expected = f"objects of {version}: *, {before}{'a track' if version.startswith('v2') else 'two numbers'}"
+            actual = f"{'an' if flagged else 'no'} availability and {numbers} whole numbers"
+            raise FileFormatError(path, where=f"object {number}", expected=expected, got=actual)
+
+
+def parse_labels(data: bytes, path: Path | str, version: str = "") -> KRadarLabels:
+    """Parse the content of an annotation file; ``path`` is for messages, ``version`` as of :func:`read_labels`.
+
+    Raises:
+        FileFormatError: If the header or an object is not of a form above or of the version, or a number is not finite.
     """
     text = parse_text(data, path)
+    check_version(((bool(line.availability), len(line.numbers)) for line in text.lines), version, path)
     table = np.array([line.values for line in text.lines], dtype=np.float64).reshape(-1, 7)
     boxes = Boxes(
         centre_m=table[:, :3],
@@ -207,18 +240,21 @@ def _parse_object(cells: Sequence[str], path: Path | str, where: str) -> LabelLi
     integers = [number for number in map(_whole, before) if number is not None]
     finite = [value for value in values if value is not None]
     complete = len(integers) == len(before) in (1, 2) and len(finite) == 7
-    if not complete or not name or _number(name) is not None:
+    if not complete or not is_name(name) or _number(name) is not None:
         expected = "*, [R, L or L1,] one or two whole numbers, a class and seven numbers"
         raise FileFormatError(path, where=where, expected=expected, got=repr(", ".join(cells))[:120])
     if min(finite[4:]) <= 0:
         raise FileFormatError(path, where=where, expected="positive sizes", got=repr(cells[-3:])[:120])
+    if abs(finite[3]) > MOST_DEG:
+        raise FileFormatError(path, where=where, expected="degrees within two turns", got=repr(cells[-4])[:120])
+    check_name(path, where, name)
     return LabelLine(availability=availability, numbers=tuple(integers), name=name, values=tuple(finite), slip=slip)
 
 
 def _parse_from_above(cells: Sequence[str], path: Path | str, where: str) -> tuple[str, tuple[float, ...]]:
     values = [_number(cell) for cell in cells[-5:]]
     finite = tuple(value for value in values if value is not None)
-    if len(cells) not in (7, 8) or len(finite) != 5:
+    if len(cells) not in (7, 8) or len(finite) != 5 or not is_name(cells[-6]):
         expected = "#, one or two whole numbers, a class and five numbers"
         raise FileFormatError(path, where=where, expected=expected, got=repr(", ".join(cells))[:120])
     return cells[-6], finite

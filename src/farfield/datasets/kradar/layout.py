@@ -35,11 +35,26 @@ _PRODUCTS = {
     "polar_cloud": "pc10p/{seq}/rpc_{index:05d}.npy",
     "polar_cloud_1p": "pc1p/{seq}/rpc_{index:05d}.npy",
     "polar_cloud_5p": "pc5p/{seq}/rpc_{index:05d}.npy",
+    "polar_cloud_15p": "pc15p/{seq}/rpc_{index:05d}.npy",
     "polar_cloud_20p": "pc20p/{seq}/rpc_{index:05d}.npy",
     "polar_cloud_30p": "pc30p/{seq}/rpc_{index:05d}.npy",
     "cells": "radar_cells/{seq}/cells_{index:05d}.h5",
 }
 RADAR_PRODUCTS = tuple(_PRODUCTS)
+POLAR_RATES = {
+    "polar_cloud": 0.1,
+    "polar_cloud_1p": 0.01,
+    "polar_cloud_5p": 0.05,
+    "polar_cloud_15p": 0.15,
+    "polar_cloud_20p": 0.2,
+    "polar_cloud_30p": 0.3,
+}
+"""Share of the polar grid's cells that each published cloud of it holds: ``pc1p`` to ``pc30p`` in the kit's loader."""
+UNREAD = {
+    "radar_ra": "arrays of (192, 64, 20) on some disks, which nothing describes (github.com/TUMFTM/DPFT issue 8)",
+    "filtered_1": "clouds of RTNH+, which were never published",
+}
+"""Folders of disks that are not read, and why: what the tensors give can be made of ``radar_tesseract``."""
 SPARSE_COLUMNS = {
     "sparse": (4, 5),
     "sparse_1p": (4, 5),

@@ -61,9 +61,9 @@ def write_radar(
             ``"cube"``: z x y x x (150, 400, 250), -1 outside the field of view; ``"polar3d"``: power / 1e13 and Doppler
             in m/s, each range x azimuth x elevation, (2, 256, 107, 37); ``"sparse"``, ``"sparse_1p"``,
             ``"corridor"``: x, y, z, power / 1e13 (and Doppler) in the radar's frame, shape (n, 4 or 5);
-            ``"polar_cloud"``, ``"polar_cloud_1p"``, ``_5p``, ``_20p``, ``_30p``: the same with Doppler, or 11 columns;
-            ``"cells"``: the cells of a
-            region, Farfield's own store. Angles, z and y rise in our sense: to the left and up.
+            ``"polar_cloud"``, ``"polar_cloud_1p"``, ``_5p``, ``_15p``, ``_20p``, ``_30p``: the same with Doppler, or 11
+            columns; ``"cells"``: the cells of a region, Farfield's own store. Angles, z and y rise in our sense: to the
+            left and up.
         values: The product.
         dtype: Dtype of the tesseract and the cube in the file; the real ones have float64. The others get float64.
         compress: Pack the ``.mat`` files.

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 from pydantic import BaseModel, ConfigDict
 
-from farfield.datasets.kradar.layout import SPARSE_COLUMNS
+from farfield.datasets.kradar.layout import POLAR_RATES, SPARSE_COLUMNS
 from farfield.datasets.maps import Earlier, TransformedCloud
 from farfield.datasets.maps.sweeps import StackedCloud
 from farfield.errors import ConfigError
@@ -22,10 +22,7 @@ from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, 
 from farfield.radar.products import doppler_cube, moments, polar_cloud, zyx_cube
 
 RADAR_CLOUD = "radar"
-_SOURCES = (
-    *("cells", "sparse", "corridor", "sparse_1p", "cube", "moments", "tesseract"),
-    *("polar_cloud", "polar_cloud_1p", "polar_cloud_5p", "polar_cloud_20p", "polar_cloud_30p", "polar3d"),
-)
+_SOURCES = ("cells", "sparse", "corridor", "sparse_1p", "cube", "moments", "tesseract")
 _SPARSE_RATE = 0.01
 _NEARLY_ALL = 0.999
 
@@ -101,9 +98,12 @@ class RadarView:
 
 def _source(frame: Frame, view: RadarView) -> str | None:
     """The product to take: one without loss or the cheapest to read; of published clouds that of the view."""
-    fitting = [name for name in _SOURCES if name.endswith("_1p")] if view.rate <= _SPARSE_RATE else []
+    fitting = ["sparse_1p", "polar_cloud_1p"] if view.rate <= _SPARSE_RATE else []
     fitting += ["corridor"] if view.over == "region" else []
-    return next((name for name in ("cells", *fitting, *_SOURCES) if name in frame.radar), None)
+    polar = sorted(
+        POLAR_RATES, key=lambda name: abs(POLAR_RATES[name] - view.rate)
+    )  # the density asked for, or nearest
+    return next((name for name in ("cells", *fitting, *_SOURCES, *polar, "polar3d") if name in frame.radar), None)
 
 
 def _read(products: Mapping[str, Any], source: str, view: RadarView) -> Cloud:

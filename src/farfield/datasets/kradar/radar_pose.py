@@ -9,7 +9,6 @@ Three places, the later ones count more:
 The second os1-128, of which no file of the release tells, has ``info_calib/calib_os2_os1.farfield.json``.
 """
 
-import json
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,8 @@ from farfield.datasets.kradar.index import FileIndex
 from farfield.datasets.kradar.texts import numbers_of, read_radar_calibration
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
-from farfield.geometry.poses import invert, pose_from_yaw
+from farfield.files.json_text import plain_json
+from farfield.geometry.poses import invert, pose_from_yaw, unrigid
 from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
 
 RADAR_FILE = "calib_radar_lidar.txt"
@@ -101,13 +101,14 @@ def read_side_file(path: Path) -> dict[str, Any]:
         FileFormatError: If it is damaged, or says another x or y than the text file beside it.
     """
     try:
-        content = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
+        content = plain_json(read_bytes(path, max_bytes=_MAX_BYTES))
         matrix = np.array(content["radar_T_lidar"], dtype=np.float64).reshape(4, 4)
         yaw = float(content["yaw_rad"])
-        if not np.isfinite([*matrix.ravel(), yaw]).all():
-            raise ValueError("numbers that are not finite")
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        fault = unrigid(matrix) if np.isfinite(yaw) else "a yaw that is not finite"
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise FileFormatError(path, where="the file", expected="radar_T_lidar, yaw_rad", got=plain(error)) from error
+    if fault:
+        raise FileFormatError(path, where="radar_T_lidar, yaw_rad", expected="a rigid motion", got=fault)
     text = path.with_name(RADAR_FILE)
     if text.exists():
         _, x, y = read_radar_calibration(text)
@@ -143,12 +144,10 @@ def read_os2_T_os1(files: FileIndex, sequence: str) -> Float[np.ndarray, "4 4"] 
     if path is None:
         return None
     try:
-        content = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
+        content = plain_json(read_bytes(path, max_bytes=_MAX_BYTES))
         matrix = np.array(content["os2_T_os1"], dtype=np.float64).reshape(4, 4)
-        if not np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() < _ROUNDED_M:
-            raise ValueError("no rotation")
-        if not np.isfinite(matrix).all() or np.linalg.det(matrix[:3, :3]) < 0:
-            raise ValueError("no rigid motion")
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        if fault := unrigid(matrix):
+            raise ValueError(fault)
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise FileFormatError(path, where="os2_T_os1", expected="a rigid motion", got=plain(error)) from error
     return matrix

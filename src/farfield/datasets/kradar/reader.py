@@ -18,6 +18,7 @@ from farfield.datasets.kradar.index import (
     KRadarFiles,
     find_sequences,
     index_sequence,
+    only_sequence,
     radar_geometry,
     with_disks,
 )
@@ -32,6 +33,7 @@ from farfield.datasets.kradar.layout import (
     RIGHT_EYE,
     SEQUENCE_SPLIT,
     SPLIT_FOLDER,
+    UNREAD,
     index_name,
     os2_T_radar,
     product_path,
@@ -83,7 +85,8 @@ class KRadar(Dataset):
       ``metadata["conditions_from"]`` says.
 
     Args:
-        root: A folder with the sequences ``1`` to ``58`` or with separate downloads such as ``rdr_polar_3d``.
+        root: A folder with the sequences ``1`` to ``58``, with disks (``dir_1to20``...) or with separate downloads such
+            as ``rdr_polar_3d``; or one sequence's own, such as ``dir_1to20/1``.
         roots: Further such folders, for a set that is spread over several disks.
         labels: ``"v2.1"``, ``"v2.0"``, ``"v1.1"`` or ``"v1.0"``; None takes the newest that a sequence has.
         calibration: Release of the camera calibrations, ``"v2"`` or ``"v1"``; None takes the newest that there is.
@@ -125,7 +128,9 @@ class KRadar(Dataset):
         self.root = Path(root)
         self.roots = with_disks((self.root, *map(Path, roots)))
         self._files = FileIndex(self.roots)
-        self._geometry = {name: radar_geometry(self.roots, name) for name in find_sequences(self.roots)}
+        only = only_sequence(self.root)
+        names = [name for name in find_sequences(self.roots) if only in ("", name)]
+        self._geometry = {name: radar_geometry(self.roots, name) for name in names}
         self._yaw_rad = {name: sequence_yaw_rad(self._files, name) for name in self._geometry}
         versions = tuple(LABEL_TREES) if labels is None else (labels,)
         self.entries: Sequence[KRadarFiles] = [
@@ -142,10 +147,20 @@ class KRadar(Dataset):
         self.frame_ids = tuple(entry.stem for entry in self.entries)
         self._shared: dict[str, tuple[SequenceFacts, dict[int, Float[np.ndarray, "4 4"]]]] = {}
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Folders of disks that are not read, and why."""
+        return tuple(
+            f"{name}/ is not read: {why}"
+            for name, why in UNREAD.items()
+            if any((root / sequence / name).is_dir() for root in self.roots for sequence in self._geometry)
+            or any((root / name).is_dir() for root in self.roots)
+        )
+
     def labels(self, index: int) -> KRadarLabels | None:
         """Read the annotations of frame ``index``; None where there are none."""
         path = self.entries[index].label
-        return None if path is None else read_labels(path)
+        return None if path is None else read_labels(path, self.entries[index].version or "")
 
     def annotation(self, index: int) -> Annotation | None:
         """What was annotated in frame ``index``."""
@@ -257,7 +272,7 @@ class KRadar(Dataset):
         self, entry: KRadarFiles, raw: KRadarLabels | None = None, record: FrameRecord | None = None
     ) -> dict[str, int]:
         """Indices of a frame's files: the record's, the annotation's, or what the name says."""
-        raw = read_labels(entry.label) if raw is None and entry.label is not None else raw
+        raw = read_labels(entry.label, entry.version or "") if raw is None and entry.label is not None else raw
         record = self._record(entry) if record is None else record
         indices = dict(raw.indices) if raw is not None else {}
         indices |= record.indices if record is not None else {}

@@ -14,10 +14,12 @@ import numpy as np
 from farfield.datasets.base import Dataset
 from farfield.datasets.kradar.layout import CAMERAS, LIDARS, RADAR_PRODUCTS, product_path
 from farfield.datasets.kradar.products import read_moments, read_radar, write_radar
+from farfield.datasets.losses import Capacity, Loss
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import write_text
 from farfield.files.radar_cells import write_radar_cells
 from farfield.jobs import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, faults, run
+from farfield.jobs.folders import held
 from farfield.radar.axes import POWER_UNIT
 from farfield.radar.cells import OVERS, RATES, Over, RadarCells, cells_of_cube, find_region
 from farfield.radar.products import Moments, doppler_cube, polar3d_from_moments, zyx_cube
@@ -66,6 +68,19 @@ class StoreSettings:
         return f"radar-store 1 {' '.join(sorted(self.products))} {rate}"
 
 
+STORE_HOLDS = Capacity(title="a radar store", read_by="kradar", holds=frozenset({"radar"}), one_cloud=False)
+_BESIDE = "the store is opened together with the data set, which keeps all else: --roots STORE"
+
+
+def store_losses(settings: StoreSettings) -> tuple[Loss, ...]:
+    """What of the tensors a store leaves out, by its settings; all else stays where it is."""
+    lost = ["cells outside the region " + settings.region] if "polar3d" not in settings.products else []
+    lost += [f"all but the strongest {settings.rate:g} of the cells"] if settings.rate != 1 else []
+    lost += [] if settings.doppler else ["the velocity of each cell"]
+    lost += ["the spectrum over Doppler, of which power and mean velocity are kept"]
+    return (Loss(item="radar", title=STORE_HOLDS.title, names=tuple(lost), reason=_BESIDE),)
+
+
 def convert_to_store(
     dataset: Dataset,
     target: Path,
@@ -94,10 +109,11 @@ def convert_to_store(
     if not units:
         sources = "radar_tesseract" if settings.products == ("polar3d",) else "radar_tesseract, radar_zyx_cube or polar"
         raise DatasetError(f"{dataset.root}: expected frames with {sources} files to convert, found none")
-    journal = JobJournal(target / JOURNAL_NAME, settings.text, overwrite=overwrite)
-    outcome = run(ConvertFrame(target, settings), units, bulk, journal=journal)
-    if outcome.written or not (target / MANIFEST_NAME).is_file():
-        write_manifest(dataset, target, settings.text)
+    with held(target):
+        journal = JobJournal(target / JOURNAL_NAME, settings.text, overwrite=overwrite)
+        outcome = run(ConvertFrame(target, settings), units, bulk, journal=journal)
+        if outcome.written or not (target / MANIFEST_NAME).is_file():
+            write_manifest(dataset, target, settings.text)
     return outcome
 
 

@@ -21,6 +21,7 @@ from jaxtyping import Float, Int
 
 from farfield.datasets.kradar.layout import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, RESOURCES
 from farfield.errors import FileFormatError
+from farfield.files import limits
 from farfield.files.atomic import read_bytes
 from farfield.frame import Camera
 from farfield.vocabulary.kradar import KRADAR_ORIGIN_M
@@ -168,7 +169,6 @@ IMU_COLUMNS = (
     *(f"acceleration_covariance_{k}" for k in range(9)),
 )
 LOCAL_COLUMNS = ("x_m", "y_m", "z_m")
-_TABLE_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -226,7 +226,7 @@ def read_local(path: Path) -> TimedTable:
 
 
 def _read_table(path: Path, columns: Sequence[str]) -> TimedTable:
-    lines = [line.replace(",", " ").split() or [""] for line in read_lines(path, max_bytes=_TABLE_BYTES)]
+    lines = [line.replace(",", " ").split() or [""] for line in read_lines(path, max_bytes=limits.MAX_BYTES)]
     if lines and _time_ns(lines[0][0]) is None:
         lines = lines[1:]  # a line of names
     times = np.empty(len(lines), dtype=np.int64)

@@ -42,6 +42,7 @@ from farfield.datasets.kradar.texts import (
 from farfield.datasets.splits import assign_splits
 from farfield.errors import ConfigError, DatasetError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.json_text import plain_json
 from farfield.frame import Annotation, Boxes, Camera, Frame
 from farfield.vocabulary.kradar import DESCRIPTION_ORDER, format_description
 
@@ -288,7 +289,7 @@ def read_record(path: Path) -> FrameRecord:
         FileFormatError: If the file is damaged.
     """
     try:
-        record = FrameRecord.model_validate_json(read_bytes(path, max_bytes=_MAX_BYTES))
+        record = FrameRecord.model_validate(plain_json(read_bytes(path, max_bytes=_MAX_BYTES)))
         missing = {"radar", "os2-64"} - set(record.indices)
         if missing:
             raise ValueError(f"no index of {sorted(missing)[0]}")

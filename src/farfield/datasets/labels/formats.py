@@ -28,7 +28,7 @@ class BoxLabel:
         track: Its identity over time as the data set writes it; empty where it has none.
         state: ``proposed``, ``edited``, ``accepted`` or ``rejected``; what a file holds was accepted.
         source: What it was drawn from: ``lidar``, ``radar``, ``camera``, ``interpolated``, ``propagated``,
-            ``detector``; empty where that is not known, as in most files.
+            ``predicted``, ``detector``; empty where that is not known, as in most files.
         attributes: What else the format says of it, such as K-Radar's ``availability``.
         score: The detector's score of a proposal, or None.
     """
@@ -45,7 +45,7 @@ class BoxLabel:
     @property
     def keyframe(self) -> bool:
         """Whether a person stands for it: interpolation and propagation leave it as it is."""
-        generated = self.source in ("interpolated", "propagated", "detector")
+        generated = self.source in ("interpolated", "propagated", "predicted", "detector")
         return self.state in ("edited", "accepted") and not (generated and self.state != "accepted")
 
 
@@ -119,6 +119,16 @@ _IN_A_FOLDER = {
     "sustechpoints": "farfield.datasets.labels.json_labels:SustechLabels",
     "cvat": "farfield.datasets.labels.json_labels:DatumaroLabels",
 }
+
+
+def readers_saved_in_place() -> tuple[str, ...]:
+    """Names of the data sets whose own label files can be edited."""
+    return tuple(_OF_READER)
+
+
+def forms_in_a_folder() -> tuple[str, ...]:
+    """Names of the label files that any data set's labels can be saved in."""
+    return tuple(_IN_A_FOLDER)
 
 
 def label_format(data: Dataset) -> LabelFormat | None:

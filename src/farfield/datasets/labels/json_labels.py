@@ -15,7 +15,7 @@ from farfield.datasets.labels.line_labels import kept_numbers
 from farfield.errors import ConfigError, DatasetError
 from farfield.files import datumaro, openlabel, supervisely, sustechpoints
 from farfield.files.cuboids import Cuboid, CuboidEntry
-from farfield.files.json_text import remove, set_value, span
+from farfield.files.json_text import plain_json, remove, set_value, span
 from farfield.frame import Annotation, Boxes, Key
 from farfield.vocabulary.classes import CIRRUS_FROM_TOOLS, normalised_class
 
@@ -251,7 +251,7 @@ class DatumaroLabels(JsonLabels):
     def values(self, cuboid: Cuboid, text: str, existing: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
         """Place, size, yaw, class, track and attributes."""
         del existing
-        return datumaro.values(cuboid, datumaro.class_names(json.loads(text.removeprefix("\ufeff")), self.folder))
+        return datumaro.values(cuboid, datumaro.class_names(plain_json(text), self.folder))
 
     def prepared(self, text: str, existing: CuboidEntry | None, cuboid: Cuboid) -> str:
         """A class that the file does not know yet."""

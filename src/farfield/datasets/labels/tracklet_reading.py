@@ -28,6 +28,7 @@ from farfield.frame import Boxes
 from farfield.frame.cloud import CLOUD_SUFFIXES, CloudSettings, read_cloud
 from farfield.geometry.boxes import count_points_in_boxes
 from farfield.vocabulary.classes import CIRRUS_FROM_TOOLS, normalised_class
+from farfield.vocabulary.counts import count_of
 
 FRAME_LIST = "frame_list.txt"
 _MARKS = "the writer's marks"
@@ -255,7 +256,7 @@ def _decided(
     fits = {name: sum(_fits(cuboid) for rows in by_frame[name].values() for cuboid in rows) for name in names}
     best = max(names, key=lambda name: fits[name])
     if fits[best] > sum(sorted(fits.values())[:-1][-1:]):
-        return best, f"the shapes of {fits[best]} of {len(cuboids)} boxes"
+        return best, f"the shapes of {fits[best]} of {count_of(len(cuboids), 'box', 'boxes')}"
     return best, "assumed: neither points nor shapes decide"
 
 

@@ -1,7 +1,8 @@
-"""Maps that change what is annotated: labels at the time of another sweep, and whole bodies for visible parts."""
+"""Maps of what is annotated: labels at another sweep's time, whole bodies, and clouds cut to where was annotated."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from farfield.datasets.frame_maps import Earlier
 from farfield.errors import DatasetError
-from farfield.frame import Annotation, Boxes, Frame
+from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy
 from farfield.geometry.poses import invert, transform_points
 
 SPAN_S = 0.6
@@ -251,3 +252,45 @@ class WholeAnnotation:
                 "whole_bodies out."
             )
         return replace(annotation, boxes=bodies, extent="full", full_boxes=None)
+
+
+# Clouds cut to the part of the frame that was annotated.
+
+
+class AnnotatedFieldSettings(BaseModel):
+    """Settings of :class:`AnnotatedField`: none."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class AnnotatedField:
+    """Clouds hold only the points where was annotated: who learns from the labels must not take the rest for empty.
+
+    KITTI's sweeps turn all around and its labels end where the camera's picture does. Frames that were annotated all
+    around stay as they are.
+    """
+
+    name: ClassVar[str] = "annotated_field"
+    Settings: ClassVar[type[BaseModel]] = AnnotatedFieldSettings
+    keeps_annotation: ClassVar[bool] = True
+
+    def settings(self) -> Mapping[str, Any]:
+        """None."""
+        return {}
+
+    def moved_poses(self, world_T_frame: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
+        """The poses as they are."""
+        return world_T_frame
+
+    def __call__(self, frame: Frame, earlier: Earlier) -> Frame:
+        """The frame with its clouds cut."""
+        del earlier
+        return replace(frame, clouds=Lazy({name: partial(_cut_to_field, frame, name) for name in frame.clouds}))
+
+
+def _cut_to_field(frame: Frame, name: str) -> Cloud:
+    cloud, annotation = frame.cloud(name), frame.annotation
+    if annotation is None or annotation.region is None:
+        return cloud
+    return cloud[annotation.region.contains(cloud.points_m.astype(np.float64))]

@@ -92,9 +92,11 @@ class StackedCloud:
         parts = [_aged(present.clouds[name], 0.0)]
         for frame in self.before:
             if name in frame.clouds:
-                lag_s = (_time_ns(present, name) - _time_ns(frame, name)) / 1e9
+                cloud = frame.clouds[name]
+                sensor = None if LAG_COLUMN in cloud.extra else name  # ages of points are since the frame's own time
+                lag_s = (_time_ns(present, sensor) - _time_ns(frame, sensor)) / 1e9
                 motion = present_T_world @ _world_T_cloud(frame, name)
-                parts.append(_aged(frame.clouds[name].transform(motion), lag_s))
+                parts.append(_aged(cloud.transform(motion), lag_s))
         return Cloud.concatenate(parts)
 
 
@@ -129,8 +131,8 @@ def _aged(cloud: Cloud, lag_s: float) -> Cloud:
     return Cloud(cloud.points_m, cloud.intensity, {**cloud.extra, LAG_COLUMN: column})
 
 
-def _time_ns(frame: Frame, name: str) -> int:
-    time_ns = frame.time_ns_of(name)
+def _time_ns(frame: Frame, name: str | None) -> int:
+    time_ns = frame.time_ns if name is None else frame.time_ns_of(name)
     assert time_ns is not None
     return time_ns
 

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.datasets.base import Dataset, Indices, all_known
-from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, sized_camera
+from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, check_objects, sized_camera
 from farfield.datasets.maps import Coordinates, FrameMap, TransformedCloud
 from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.view_of_delft.layout import CLIPS, PARTS, RADAR_COLUMNS, clip_of, find_trees
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiObjects, read_calib, read_labels
@@ -43,6 +43,7 @@ from farfield.vocabulary.classes import CIRRUS_FROM_VIEW_OF_DELFT, normalised_cl
 
 REFLECTANCE_FULL = 255.0  # the lidar's, unlike KITTI's
 RADAR_RATE_HZ = 13.0  # nominal; files count scans and give no times
+_MOST_SCANS = 100
 
 IMAGE_PX = (1936, 1216)
 Reference = Literal["lidar", "radar"]
@@ -300,6 +301,7 @@ def _placed_annotation(
 def _read_text(path: Path, camera_T_sensor: Float[np.ndarray, "4 4"], classes: str) -> Annotation:
     """Labels in KITTI's form; two columns mean something else here: moving for truncation, and 1 for score."""
     raw = read_labels(path)
+    check_objects(raw, path)
     objects = replace(raw, truncation=np.zeros(len(raw)), score=None)
     annotation = annotation_of(objects, boxes_from_labels(objects, camera_T_sensor, classes=classes), None)
     return replace(annotation, moving=raw[raw.has_box].truncation > 0)
@@ -323,14 +325,22 @@ def read_radar(path: Path) -> Cloud:
         FileFormatError: If the file is damaged.
     """
     rows, missing = read_radar_rows(path, RADAR_COLUMNS)
-    rcs_dbsm = rows[:, 3]
+    rcs_dbsm, scan = rows[:, 3], rows[:, 6]
+    if not ((scan % 1 == 0) & (np.abs(scan) <= _MOST_SCANS)).all():
+        raise FileFormatError(
+            path,
+            where="column 7, the scan",
+            expected="whole numbers: 0, -1, -2...",
+            got=f"{scan[scan % 1 != 0][:1].tolist() or np.abs(scan).max()}",
+            fix=f"The file is damaged, or no table of {RADAR_COLUMNS} columns of View-of-Delft's.",
+        )
     extra = {
         "rcs_dbsm": rcs_dbsm,
         "v_r_m_s": rows[:, 4],
         "doppler_m_s": rows[:, 4],
         "v_r_compensated_m_s": rows[:, 5],
-        "scan": rows[:, 6],
-        "lag_s": np.abs(rows[:, 6]) / np.float32(RADAR_RATE_HZ),
+        "scan": scan,
+        "lag_s": np.abs(scan) / np.float32(RADAR_RATE_HZ),
     }
     contiguous = {name: np.ascontiguousarray(column) for name, column in extra.items()}
     return Cloud(rows[:, :3].copy(), None, contiguous, missing)

@@ -1,0 +1,205 @@
+"""Data sets as annotation tools take them: SUSTechPOINTS, CVAT (Datumaro), and OpenLABEL's boxes alone."""
+
+import json
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from farfield.datasets.base import Dataset
+from farfield.datasets.labels.json_labels import DatumaroLabels, OpenLabels, SustechLabels, file_name
+from farfield.datasets.losses import Capacity
+from farfield.errors import DatasetError, FarfieldError
+from farfield.files.atomic import write_text
+from farfield.files.cuboids import Cuboid
+from farfield.files.datumaro import format_datumaro
+from farfield.files.images import write_image
+from farfield.files.openlabel import format_openlabel
+from farfield.files.pcd import write_pcd
+from farfield.files.sustechpoints import format_calibration, format_sustechpoints
+from farfield.frame import Boxes, Cloud, Frame
+from farfield.jobs import Unit, UnitResult
+from farfield.vocabulary.classes import CIRRUS_FROM_TOOLS
+
+AnnotationTool = Literal["openlabel", "sustechpoints", "cvat"]
+BoxSource = Literal["boxes", "full_boxes"]
+_POINT_BYTES = 12  # x, y, z as float32; text takes more
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+OPENLABEL_HOLDS = Capacity(
+    title="OpenLABEL",
+    holds=frozenset({"times", "tracks", "empty frames"}),
+    one_cloud=False,
+    file_names=file_name,
+    frame_names=True,
+    reasons=dict.fromkeys(("clouds", "images", "cameras", "radar"), "labels alone are written"),
+)
+SUSTECHPOINTS_HOLDS = Capacity(
+    title="SUSTechPOINTS' scenes",
+    read_by="sustechpoints",
+    holds=frozenset({"tracks", "empty frames"}),
+    pictures="calibrated",
+    aliases=CIRRUS_FROM_TOOLS,
+    file_names=file_name,
+    jpeg=True,
+    reasons={"images": "only those of calibrated cameras", "cameras": "only those with an image"},
+)
+CVAT_HOLDS = Capacity(
+    title="CVAT's tasks",
+    read_by="cvat",
+    holds=frozenset({"tracks", "empty frames"}),
+    aliases=CIRRUS_FROM_TOOLS,
+    file_names=file_name,
+)
+
+
+def spread(dataset: Dataset) -> list[int]:
+    """Indices of up to five frames that are spread over a set."""
+    return sorted({round(share * (len(dataset) - 1)) for share in _SHARES}) if len(dataset) else []
+
+
+def cloud_bytes(dataset: Dataset, cloud: str | None) -> float:
+    """What the points of a frame take: the median of a few frames that are spread over the set and can be read."""
+    counts = []
+    for index in spread(dataset):
+        with suppress(FarfieldError):  # said where the frame is converted
+            counts.append(len(dataset[index].cloud(cloud)))
+    return _POINT_BYTES * float(np.median(counts or [0]))
+
+
+def views(dataset: Dataset) -> str:
+    """What else decides how a data set is seen: its reader's options and its maps; empty where there are none."""
+    recipe = {name: dataset.recipe.get(name) for name in ("options", "maps")}
+    return f" {json.dumps(recipe, sort_keys=True, default=str)}" if any(recipe.values()) else ""
+
+
+def boxes_of(frame: Frame, source: BoxSource) -> Boxes | None:
+    """The boxes to label: the frame's own, or its annotation's ``full_boxes``.
+
+    Raises:
+        DatasetError: If the whole bodies are wanted and not known.
+    """
+    if source == "boxes" or frame.annotation is None:
+        return frame.boxes
+    if frame.annotation.full_boxes is None:
+        raise DatasetError(f"frame {frame.key}: expected full_boxes in its annotation, which boxes='full_boxes' takes")
+    return frame.annotation.full_boxes
+
+
+def cuboids_of(boxes: Boxes | None, frame: str) -> list[Cuboid]:
+    """Boxes as tools exchange them; the classes keep our names."""
+    if boxes is None or not len(boxes):
+        return []
+    rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
+    tracks = [-1] * len(boxes) if boxes.track_id is None else boxes.track_id.tolist()
+    return [
+        Cuboid(frame=frame, label=str(label), box=tuple(row), track="" if track < 0 else str(track))
+        for label, row, track in zip(np.asarray(boxes.label).tolist(), rows, tracks, strict=True)
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolExport:
+    """Writes sequences of a data set for an annotation tool; a unit's parameters are the frames' indices.
+
+    SUSTechPOINTS gets scenes with clouds (PCD), images, calibration and labels; CVAT clouds below ``point_clouds`` and
+    one Datumaro file a sequence; OpenLABEL one file a sequence.
+
+    Args:
+        dataset: The frames.
+        target: Folder to write into.
+        to: The tool.
+        boxes: Which boxes to label.
+        cloud: Which cloud to write; None takes the first.
+    """
+
+    dataset: Dataset
+    target: Path
+    to: AnnotationTool
+    boxes: BoxSource
+    cloud: str | None
+    memory_bytes = 500_000_000
+
+    @cached_property
+    def disk_bytes(self) -> float:
+        """What a unit takes on the disk at least: the points of its frames."""
+        if self.to == "openlabel" or not len(self.dataset):
+            return 0.0
+        return cloud_bytes(self.dataset, self.cloud) * len(self.dataset) / len(self.units())
+
+    @property
+    def setting(self) -> str:
+        """What decides the files besides their sources."""
+        return f"{self.to} {self.boxes} {self.cloud} {self.dataset.name}{views(self.dataset)}"
+
+    def units(self) -> list[Unit]:
+        """One a sequence; for SUSTechPOINTS, whose files are of one frame each, one a frame."""
+        files = self.dataset.files
+        if self.to == "sustechpoints":
+            keys = enumerate(self.dataset.keys)
+            return [Unit("/".join(key), tuple(files(index)), (index,)) for index, key in keys]
+        groups: dict[str, list[int]] = {}
+        for index, sequence in enumerate(self.dataset.sequences):
+            groups.setdefault(sequence, []).append(index)
+        return [
+            Unit(name, tuple(dict.fromkeys(file for index in indices for file in files(index))), tuple(indices))
+            for name, indices in groups.items()
+        ]
+
+    def __call__(self, unit: Unit) -> UnitResult:
+        """Write one unit."""
+        frames = [self.dataset.frame(index) for index in unit.parameters]
+        if self.to == "sustechpoints":
+            return UnitResult(files=tuple(path for frame in frames for path in self._scene_frame(frame)))
+        names = [frame.frame_id if self.to == "openlabel" else file_name(frame.frame_id) for frame in frames]
+        cuboids = [
+            cuboid
+            for frame, name in zip(frames, names, strict=True)
+            for cuboid in cuboids_of(boxes_of(frame, self.boxes), name)
+        ]
+        if self.to == "openlabel":
+            text = format_openlabel(cuboids, names, [frame.time_ns for frame in frames], system=frames[0].reference)
+            return UnitResult(files=(_written(OpenLabels(self.target).path(frames[0].key), text),))
+        path = _written(DatumaroLabels(self.target).path(frames[0].key), format_datumaro(cuboids, names))
+        return UnitResult(files=(path, *self._clouds(frames, path.parents[1] / "point_clouds", names)))
+
+    def _clouds(self, frames: Sequence[Frame], folder: Path, names: Sequence[str]) -> Iterable[Path]:
+        for frame, name in zip(frames, names, strict=True):
+            yield write_cloud(folder / f"{name}.pcd", frame.cloud(self.cloud))
+
+    def _scene_frame(self, frame: Frame) -> list[Path]:
+        label = SustechLabels(self.target).path(frame.key)
+        scene, stem = label.parents[1], label.stem
+        paths = [write_cloud(scene / "lidar" / f"{stem}.pcd", frame.cloud(self.cloud))]
+        for name, camera in frame.cameras.items():
+            if name in frame.images:
+                path = scene / "camera" / file_name(name) / f"{stem}.jpg"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_image(path, frame.images[name])
+                calibration = format_calibration(camera.camera_T_lidar, camera.matrix)
+                paths += [path, _written(scene / "calib" / "camera" / f"{file_name(name)}.json", calibration)]
+        boxes = boxes_of(frame, self.boxes)
+        if boxes is not None:
+            paths.append(_written(label, format_sustechpoints(cuboids_of(boxes, stem))))
+        label.parent.mkdir(parents=True, exist_ok=True)
+        return paths
+
+
+def write_cloud(path: Path, cloud: Cloud) -> Path:
+    """Write a cloud as binary PCD with x, y, z and, where there is one, intensity."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fields = {axis: column.astype(np.float32) for axis, column in zip("xyz", cloud.points_m.T, strict=True)}
+    if cloud.intensity is not None:
+        fields["intensity"] = cloud.intensity.astype(np.float32)
+    write_pcd(path, fields)
+    return path
+
+
+def _written(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text)
+    return path
