@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from farfield.annotation.schema import Schema, schema_of
+from farfield.annotation.schema import AttributeSettings, Schema, schema_of
 from farfield.annotation.store import Author, Store
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import journal_folder
@@ -69,7 +69,9 @@ def default_rows(frames: int = 20) -> list[tuple[object, ...]]:
 
 def schema(extent: str | None = "full") -> Schema:
     sizes = {"car": (4.6, 1.95, 1.7), "bus": (11.0, 2.6, 3.2), "pedestrian": (0.75, 0.7, 1.75)}
-    return schema_of(sizes, {"moving": (True, False), "note": ()}, extent)  # type: ignore[arg-type]
+    named = schema_of(sizes, {"moving": (True, False), "note": ()}, extent)  # type: ignore[arg-type]
+    counted = {**named.attributes, "count": AttributeSettings(kind="number")}
+    return named.model_copy(update={"attributes": counted})
 
 
 def opened(root: Path, *, frames: int = 20, posed: bool = True, extent: str | None = "full") -> Store:

@@ -1,19 +1,22 @@
 """The journal: acknowledged means on the disk, once, by one process."""
 
 import asyncio
+import contextlib
 import os
 import subprocess
 import sys
 import threading
 from concurrent.futures import Future, wait
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from farfield.annotation import journal as module
-from farfield.annotation.errors import JournalError, JournalHeldError
+from farfield.annotation.errors import JournalError, JournalHeldError, RefusedError
 from farfield.annotation.journal import EditJournal
 from farfield.datasets.edits import CellEdit, Record, encode, read_journal
+from farfield.datasets.edits import journal as edits_journal
 from farfield.errors import FileFormatError
 
 CELL = ("box", "a", "0001", "4")
@@ -23,7 +26,7 @@ def _ignored(record: Record) -> None:
     del record
 
 
-def _append(journal: EditJournal, name: str, value: int = 0) -> tuple[Record, "Future[Record]"]:
+def _append(journal: EditJournal, name: str, value: Any = 0) -> tuple[Record, "Future[Record]"]:
     return journal.append(id=name, by="ann", window="w", op="box.set", changes=[CellEdit(CELL, 0, None, value)])
 
 
@@ -55,6 +58,20 @@ def test_edits_that_wait_share_one_fsync(tmp_path: Path, monkeypatch: pytest.Mon
         wait(futures, 10)
         assert len(calls) <= 3
     assert [record.seq for record in _read(journal.path)] == [*range(1, 101)]
+
+
+@pytest.mark.parametrize("value", [10**20, -(10**400), "\ud800", {1: 2, "1": 3}])
+def test_what_could_not_be_read_again_is_not_written(tmp_path: Path, value: Any) -> None:
+    with EditJournal(tmp_path, _ignored) as journal:
+        _append(journal, "a")[1].result(10)
+        size = journal.path.stat().st_size
+        with contextlib.suppress(ValueError):
+            _append(journal, "b", value)[1].result(10)
+        _append(journal, "c")[1].result(10)
+        assert journal.path.stat().st_size > size
+    records = _read(tmp_path / "edits.jsonl")
+    assert records[-1].id == "c"
+    assert [record.seq for record in records] == [*range(1, len(records) + 1)]
 
 
 def test_an_id_is_recognised_after_a_restart(tmp_path: Path) -> None:
@@ -139,6 +156,21 @@ def test_a_full_disk_is_said_and_acknowledged_edits_stay(tmp_path: Path, monkeyp
     assert _read(journal.path) == [first]
 
 
+def test_whoever_waits_is_told_where_the_journal_cannot_be_read_again_either(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with EditJournal(tmp_path, _ignored, _unreadable) as journal, monkeypatch.context() as patch:
+        patch.setattr(module.os, "write", lambda handle, data: _full())
+        with pytest.raises(JournalError, match=r"No space left.*Nor could the journal be read again.*Input/output"):
+            _append(journal, "a")[1].result(10)
+        with pytest.raises(JournalError, match="Nor could the journal be read again"):
+            _append(journal, "b")
+
+
+def _unreadable() -> None:
+    raise OSError(5, "Input/output error")
+
+
 def _full() -> int:
     raise OSError(28, "No space left on device")
 
@@ -184,3 +216,19 @@ def test_a_closed_journal_takes_nothing(tmp_path: Path) -> None:
         _append(journal, "a")
     with pytest.raises(IndexError, match="from 1 to 0"):
         journal.read(1)
+
+
+def test_an_edit_longer_than_the_reader_takes_is_refused_and_nothing_is_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for reading_or_writing in (module, edits_journal):
+        monkeypatch.setattr(reading_or_writing, "LONGEST_LINE", 2000, raising=False)
+    with EditJournal(tmp_path, _ignored) as journal:
+        room = 2000 - len(encode(_append(journal, "a", "")[0]))
+        _append(journal, "b", "x" * room)[1].result(10)
+        with pytest.raises(RefusedError, match="Nothing was changed"):
+            _append(journal, "c", "x" * (room + 1))
+        assert journal.seq_of("c") is None
+        _append(journal, "d")[1].result(10)
+    with EditJournal(tmp_path, _ignored) as journal:
+        assert [record.id for record in _read(journal.path)] == ["a", "b", "d"]

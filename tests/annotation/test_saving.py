@@ -1,5 +1,8 @@
 """Label files written from the annotation: bytes kept, originals kept, other programs noticed."""
 
+import errno
+import os
+import tempfile
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,7 +12,7 @@ from edited_drives import ANN, CAR, Drives, opened, schema, state_bytes
 
 from farfield.annotation import saving
 from farfield.annotation.edits import add_box, delete_box, set_box
-from farfield.annotation.saving import export_labels, save_copy, save_in_place, save_place
+from farfield.annotation.saving import export_labels, save, save_copy, save_in_place, save_place
 from farfield.annotation.store import Store, undo
 from farfield.datasets.edits import journal_folder
 from farfield.datasets.labels import CsvLabels
@@ -138,3 +141,95 @@ def test_export_in_another_format(tmp_path: Path) -> None:
         lines = file.read_text().splitlines()
         assert len(lines) == 42
         assert lines[1] == "a,0000,car,10.5,2.0,0.0,4.5,1.9,1.6,0.25,,3"
+
+
+@pytest.mark.parametrize("fault", [errno.EROFS, errno.ENOSPC, errno.EACCES])
+def test_where_nothing_can_be_written_beside_saves_go_beside_the_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: int
+) -> None:
+    """As root, and on a full disk, os.access says that everything can be."""
+    (tmp_path / "data").mkdir()
+    with opened(tmp_path / "data") as store:
+        assert save_place(store) == tmp_path / "data-edited"
+        with monkeypatch.context() as patch:
+            patch.setattr("tempfile.TemporaryFile", partial(_refuse_in, tmp_path, fault, tempfile.TemporaryFile))
+            target = save_place(store)
+            assert target == store.folder / "saved"
+            _moved(store, "e1")
+            assert len(save_copy(store, ANN, "s1", target).files) == 1
+    assert not (tmp_path / "data-edited").exists()
+
+
+def test_a_journal_that_cannot_be_written_beside_leaves_nothing_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    (tmp_path / "data").mkdir()
+    patched = partial(_refuse_in, tmp_path / "data", errno.ENOSPC, tempfile.TemporaryFile)
+    monkeypatch.setattr("tempfile.TemporaryFile", patched)
+    assert journal_folder(tmp_path / "data").is_relative_to(tmp_path / "home")
+    assert not any((tmp_path / "data").iterdir())
+
+
+def _refuse_in(folder: Path, fault: int, own: Any, *, dir: Path) -> Any:
+    if dir.resolve() == folder:
+        raise OSError(fault, os.strerror(fault))
+    return own(dir=dir)
+
+
+def test_what_label_files_hold_is_known_over_restarts(tmp_path: Path) -> None:
+    with opened(tmp_path) as store:
+        assert (store.unwritten, store.written) == (0, None)
+        _moved(store, "e1")
+        _moved(store, "e2", A1)
+        assert store.unwritten == 2
+    with opened(tmp_path) as store:
+        assert (store.unwritten, store.written) == (2, None)
+        save_in_place(store, ANN, "s1")
+        assert store.written is not None
+        assert store.unwritten == 0
+        assert (store.written.folder, store.written.format) == ("the data set's label files", "boxes-csv")
+        _moved(store, "e3", x_m=11.0)
+    with opened(tmp_path) as store:
+        assert store.unwritten == 1
+        save(store, ANN, "s2", target=None, format="cvat")
+        assert store.unwritten == 0
+        assert (store.written.folder, store.written.format) == ("labels-cvat", "cvat")  # type: ignore[union-attr]
+    with opened(tmp_path) as store:
+        assert store.unwritten == 0
+        undo(store, ANN, "u1")
+        assert store.unwritten == 1
+
+
+def test_a_save_that_was_interrupted_leaves_its_edits_unwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with opened(tmp_path) as store:
+        _moved(store, "e1")
+        with monkeypatch.context() as patch:
+            patch.setattr(saving, "_write_or_remove", _fails)
+            with pytest.raises(OSError, match="no more"):
+                save_in_place(store, ANN, "s1")
+        assert store.unwritten == 1
+    with opened(tmp_path) as store:
+        assert store.unwritten == 1
+
+
+def test_an_edit_during_a_save_is_not_counted_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with opened(tmp_path) as store:
+        _moved(store, "e1")
+        monkeypatch.setattr(saving, "sync", partial(_moved, store, "e2", A1))
+        save_copy(store, ANN, "s1", tmp_path.with_name("copy"))
+        assert store.unwritten == 1
+
+
+def test_a_save_that_comes_again_writes_what_is_there_now_and_the_labels_stay_ours(tmp_path: Path) -> None:
+    with opened(tmp_path) as store:
+        _moved(store, "e1")
+        save_in_place(store, ANN, "s1")
+        _moved(store, "e2", x_m=12.5)
+        save_in_place(store, ANN, "s1")
+        assert store.unwritten == 0
+    with opened(tmp_path) as store:
+        assert store.rows(A0)[0].label.box[0] == 12.5
+    assert b"a,0000,car,12.5," in (tmp_path / "boxes.csv").read_bytes()

@@ -103,6 +103,13 @@ def test_a_message_sent_again_is_recognised_also_after_a_restart(tmp_path: Path)
         ({"score": "high"}, "score"),
         ({"attributes": ["moving"]}, "attribute"),
         ({"proposal": [1.0, 2.0]}, "box"),
+        ({"attributes": {"colour": None}}, "attribute"),
+        ({"attributes": {"note": None}}, "attribute"),
+        ({"attributes": {"count": 10**20}}, "attribute"),
+        ({"attributes": {"count": -(10**400)}}, "attribute"),
+        ({"attributes": {"moving": 1}}, "attribute"),
+        ({"score": 10**400}, "score"),
+        ({"box": [10**400, 0, 0, 4, 2, 1, 0]}, "box"),
     ],
 )
 def test_what_is_not_possible_is_refused(tmp_path: Path, value: Any, code: str) -> None:

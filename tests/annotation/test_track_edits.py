@@ -120,7 +120,7 @@ def test_merged_and_split(tmp_path: Path) -> None:
         assert len(boxes_of(store, A, "3")) == 20
         assert state_bytes(store) == begin
         _add(store, 5, "6")
-        with pytest.raises(RefusedError, match="both have a box in 1 frames"):
+        with pytest.raises(RefusedError, match="both have a box in 1 frame"):
             _merge(store, "e6", "6", (0, 2))
 
 
@@ -150,8 +150,20 @@ def test_interpolated_between_keyframes_only(tmp_path: Path) -> None:
         assert state_bytes(store) == before
         _add(store, 0, "10")
         one = partial(interpolate_track, drive=A, track="10", first=0, last=19, prefix="i4")
-        with pytest.raises(RefusedError, match="1 keyframes"):
+        with pytest.raises(RefusedError, match="1 keyframe"):
             store.edit(ANN, "i4", "track.interpolate", one)
+
+
+@pytest.mark.filterwarnings("error")
+def test_two_keyframes_at_one_time_are_refused_by_their_frames(tmp_path: Path) -> None:
+    with opened(tmp_path) as store:
+        for row in (2, 6):
+            _add(store, row, "8")
+        twin = {"label": "car", "box": CAR, "track": "8"}
+        store.edit(ANN, "twin", "box.add", partial(add_box, key=_key(6), name="twin", value=twin))
+        plan = partial(interpolate_track, drive=A, track="8", first=0, last=19, prefix="i1")
+        with pytest.raises(RefusedError, match="two keyframes at the time of frame 0006"):
+            store.edit(ANN, "i1", "track.interpolate", plan)
 
 
 def _still(key: Any, guess: Any, window_m: float) -> RefitBox:

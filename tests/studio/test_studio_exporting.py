@@ -65,6 +65,17 @@ def test_a_film_of_pictures_that_the_page_sent(live, kind):
         assert np.asarray(film.convert("RGB")).mean() > 240
 
 
+def test_a_film_whose_file_went_with_the_connection_is_not_made_twice(live):
+    _, _, body = live.request("POST", "/shot", png(9), origin=live.origin)
+    shots = [json.loads(body)["shot"]]
+    done = []
+    for _ in range(2):
+        with live.window() as client:
+            done.append(export(client, kind="gif", shots=shots, name="again", rate_hz=5))
+    assert done[0]["state"] == "done", done
+    assert done[0]["url"] == done[1]["url"]
+
+
 def test_only_pictures_are_kept_and_only_those_sent_make_a_film(live):
     assert live.request("POST", "/shot", b"<svg/>", origin=live.origin)[0] == 400
     with live.window() as client:
@@ -115,7 +126,7 @@ def test_a_page_cannot_be_left_by_what_it_holds(tmp_path: Path):
     (tmp_path / "studio.js").write_text('const a = "</script><b>";')
     (tmp_path / "studio.css").write_text("b { color: red }")
     given = dict.fromkeys((each.name for each in fields(Welcome) if each.default is MISSING), ())
-    given |= {"farfield": "0", "mode": "view", "data": "d", "title": "</script><script>alert(1)</script>"}
+    given |= {"farfield": "0", "mode": "view", "data": "d", "store": "", "title": "</script><script>alert(1)</script>"}
     given |= {"frames": 1, "annotator": "", "window": "w", "windows": 1, "journal_seq": 0, "extent": None}
     hostile = Welcome(**given)
     frame = FrameState(frame=FrameInfo(index=0, sequence="s", frame_id="f"), layers=(), boxes=())

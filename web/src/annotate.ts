@@ -1,17 +1,21 @@
 // What a person does to boxes: drawing gestures, one-click fits, nudges, states, tracks. Every action is one edit or one group.
 
-import { report } from "./bar";
-import { faceMoved, shifted, turned, type Box, type Vec3 } from "./boxes";
-import { degrees, radians } from "./dom";
-import { addBox, deleteBox, editTrack, freeTrack, redo, setBox, undo, valueOf } from "./edits";
-import { bind, run, step } from "./keys";
+import { report, withdraw } from "./bar";
+import { faceMoved, finite, shifted, turned, type Box, type Vec3 } from "./boxes";
+import { radians } from "./dom";
+import { addBox, addEditFor, deleteBox, editTrack, freeTrack, mayEdit, redo, setBox, undo, valueOf, versionOf } from "./edits";
+import { show } from "./frames";
+import { bind, step } from "./keys";
 import { groundNear, groundUnder } from "./picking";
 import { dragAt, pointer, type Gesture } from "./pointer";
 import { Projector } from "./project";
 import type { BoxRow, BoxValue, Fit, Fitted } from "./protocol";
-import { newId, onReply, send } from "./socket";
+import { groundBelow } from "./radarblock";
+import { post } from "./post";
+import { newId, onReply } from "./socket";
 import type { Stage } from "./stage";
-import { boxOf, changed, select, selected, state } from "./state";
+import { stored } from "./rows";
+import { boxOf, changed, driveOf, on, select, selected, shownFrame, state } from "./state";
 
 const SMALL_M = 0.05;
 const TURN = radians(1);
@@ -19,9 +23,10 @@ const DRAG_LEAST_M = 0.7;
 
 interface Asked {
   frame: number;
-  replaces: string | null;
+  replaces: BoxRow | null;
   class_name: string;
-  track: number | null;
+  track: number; // of the drive in which it was drawn
+  fresh: boolean; // a new object's, whose number is only proposed
   started: number;
 }
 
@@ -44,32 +49,45 @@ export function awaited(): { track: number; class_name: string } | null {
   return carried && state.selection === null && !state.boxes.some((row) => row.track === carried.track && row.state !== "rejected") ? carried : null;
 }
 
-function askFit(rest: Pick<Fit, "kind"> & Partial<Fit>, replaces: string | null): void {
+function askFit(rest: Pick<Fit, "kind"> & Partial<Fit>, replaces: BoxRow | null): void {
+  if (!mayEdit() || !finite(rest.at ?? [])) return;
+  if (!state.connected) return report("warning", "The studio is not connected: boxes cannot be fitted now.", "Draw again when the connection is back.");
+  const frame = shownFrame();
   const id = newId();
   const object = replaces === null ? awaited() : null;
   const class_name = object?.class_name ?? rest.class_name ?? state.chosenClass;
   const track = object?.track ?? rest.track ?? null;
-  asked.set(id, { frame: state.frame, replaces, class_name, track, started: performance.now() });
-  const sent = send({ op: "fit", id, frame: state.frame, type_name: object ? "" : state.chosenType, ...rest, class_name, track });
-  if (!sent) {
-    asked.delete(id);
-    report("warning", "The studio is not connected: boxes cannot be fitted now.", "Draw again when the connection is back.");
-  }
+  const free = freeTrack(...[...asked.values()].map((one) => one.track));
+  asked.set(id, { frame, replaces, class_name, track: track ?? free, fresh: track === null, started: performance.now() });
+  post({ op: "fit", id, frame, type_name: object ? "" : state.chosenType, ...rest, class_name, track });
 }
 
 onReply("fitted", (message: Fitted) => {
   const request = asked.get(message.id);
   asked.delete(message.id);
-  if (!request || message.frame !== state.frame) return;
+  if (!request) return;
   if (!message.box) {
     report("warning", message.sentence || "No object was found there.");
     return;
   }
   if (message.sentence) report("info", message.sentence);
-  const row = request.replaces ? state.boxes.find((one) => one.id === request.replaces) : undefined;
-  if (row) setBox(row, { box: message.box });
-  else select(addBox({ box: message.box, class_name: request.class_name, track: request.track ?? freeTrack(), state: "edited", source: message.source, attributes: {} }));
+  const { frame, replaces } = request;
+  const value: BoxValue = { box: message.box, class_name: request.class_name, track: request.track, state: "edited", source: message.source, attributes: {} };
+  if (replaces) {
+    const now = stored(frame, replaces.id);
+    if (now?.version === replaces.version) addEditFor(frame, now, { box: message.box });
+    else report("warning", "The box was changed while it was fitted: it was left as it is.", "Press X to fit it again.");
+  } else {
+    const here = frame === shownFrame() && frame === state.frame;
+    const made = addBox(value, null, frame, request.fresh);
+    if (made && here) select(made);
+    else if (made) report("info", `The box that was drawn in frame ${frame + 1} is there.`);
+  }
   requestAnimationFrame(() => fitTimes.push(performance.now() - request.started));
+});
+
+onReply("refused", (message) => {
+  if (message.id !== null) asked.delete(message.id);
 });
 
 /** Press at the object's rear and drag along its heading; with Ctrl the corners of a rectangle. */
@@ -79,8 +97,13 @@ export function drawGesture(stage: Stage): Gesture | null {
   let aside: [number, number] = [0, 0]; // of the point that was pressed from where the pointer was: else it would turn the drag
   let rectangle = false;
   return {
+    cancel() {
+      Object.assign(sketch, { points: [], closed: false, box: null });
+      stage.request("lines");
+      setTool("none");
+    },
     down(at, event, view) {
-      if (event.shiftKey) return false;
+      if (event.shiftKey || !mayEdit()) return false;
       const here = view.ground(event.clientX, event.clientY, at[2]) ?? at;
       rectangle = event.ctrlKey;
       from = rectangle ? here : at;
@@ -137,7 +160,7 @@ export function setTool(tool: typeof state.tool): void {
 function withBox(act: (row: BoxRow, box: Box) => void): void {
   const row = selected();
   if (row) act(row, boxOf(row));
-  else report("info", "Select a box first: click it, or press Tab.");
+  else report("info", "Select a box first: click it, or press ↓.");
 }
 
 const nudge = (id: string, change: (box: Box, by: number, near: boolean) => Box): void =>
@@ -171,10 +194,12 @@ function bindNudges(stage: Stage): void {
     sizeKey(`${name}.less`, axis as 0 | 1 | 2, -1);
     sizeKey(`${name}.more`, axis as 0 | 1 | 2, 1);
   });
-  nudge("ground", (box) => [box[0], box[1], groundNear(stage, box[0], box[1], 4) + box[5] / 2, box[3], box[4], box[5], box[6]]);
+  nudge("ground", (box) => [box[0], box[1], (groundBelow(box) ?? groundNear(stage, box[0], box[1], 4)) + box[5] / 2, box[3], box[4], box[5], box[6]]);
 }
 
-let copied: BoxValue | null = null;
+let copied: { value: BoxValue; drive: string } | null = null; // track numbers are those of a drive
+
+const driveShown = (): string => driveOf(shownFrame())?.name ?? `frame ${shownFrame()}`;
 
 function bindBoxes(stage: Stage): void {
   bind("draw", () => setTool(state.tool === "draw" ? "none" : "draw"));
@@ -187,21 +212,26 @@ function bindBoxes(stage: Stage): void {
   bind("refit.size", () => refit(true));
   bind("delete", () => withBox((row) => {
     if (row.state !== "proposed") return deleteBox(row);
-    setBox(row, { state: "rejected" });
-    nextProposal(row);
+    if (setBox(row, { state: "rejected" })) nextProposal(row);
   }));
-  bind("accept", () => withBox((row) => { setBox(row, { state: "accepted" }); nextProposal(row); }));
-  bind("copy", () => withBox((row) => { copied = valueOf(row); report("info", "Copied."); }));
+  bind("accept", () => withBox((row) => { if (setBox(row, { state: "accepted" })) nextProposal(row); }));
+  bind("copy", () => withBox((row) => { copied = { value: valueOf(row), drive: driveShown() }; report("info", "Copied."); }));
   bind("paste", () => {
     if (!copied) return;
-    const taken = state.boxes.some((row) => row.track !== null && row.track === copied!.track);
-    select(addBox({ ...copied, track: taken ? freeTrack() : copied.track ?? null, state: "edited" }));
+    const { value, drive } = copied;
+    const other = drive !== driveShown() || state.boxes.some((row) => row.track !== null && row.track === value.track); // another object than the one that was copied
+    const fresh = other && value.track !== null && value.track !== undefined;
+    const made = addBox({ ...value, track: fresh ? freeTrack() : value.track ?? null, state: "edited" }, null, undefined, fresh);
+    if (made) select(made);
   });
-  bind("duplicate", () => withBox((row, box) => select(addBox({ ...valueOf(row), box: shifted(box, 0, -row.box[4]! - 0.5, 0), track: freeTrack(), state: "edited" }))));
+  bind("duplicate", () => withBox((row, box) => {
+    const made = addBox({ ...valueOf(row), box: shifted(box, 0, -row.box[4]! - 0.5, 0), track: freeTrack(), state: "edited" }, null, undefined, true);
+    if (made) select(made);
+  }));
 }
 
 function refit(keep: boolean): void {
-  withBox((row) => askFit({ kind: "refit", around: row.box, class_name: row.class_name, track: row.track, keep_size: keep }, row.id));
+  withBox((row) => askFit({ kind: "refit", around: row.box, class_name: row.class_name, track: row.track, keep_size: keep }, stored(shownFrame(), row.id)));
 }
 
 function nextProposal(after: BoxRow): void {
@@ -221,36 +251,78 @@ export function fromRadar(at: Vec3): void {
   askFit({ kind: "peak", at: [at[0], at[1]] }, null);
 }
 
-function withTrack(act: (track: number, row: BoxRow) => void): void {
+export function withTrack(act: (track: number, row: BoxRow) => void): void {
   withBox((row) => (row.track === null ? report("info", "This box has no track number: type one beside its class.") : act(row.track, row)));
 }
 
-function bindTracks(): void {
-  const last = (): number => (state.welcome?.frames ?? 1) - 1;
-  bind("propagate", () => withTrack((track) => {
-    if (state.frame >= last()) return;
-    editTrack({ op: "track.propagate", track, first: state.frame, last: state.frame + 1, fit: true });
-    run("frame.next");
-  }));
-  bind("propagate.all", () => withTrack((track) => editTrack({ op: "track.propagate", track, first: state.frame, last: driveEnd(), fit: true })));
-  bind("interpolate", () => withTrack((track) => {
+/** The box through which a track is edited, as it is shown. */
+export const shownAs = (row: BoxRow): { frame: number; box: string; box_base: number } => ({ frame: shownFrame(), box: row.id, box_base: versionOf(row) });
+
+/** Carrying on goes from frame to frame: each waits for the box that the one before gave. */
+const carrying = { frame: -1, track: -1, more: 0 };
+
+function carryOn(track: number, row: BoxRow): void {
+  const frame = shownFrame();
+  if (frame >= driveEnd()) {
+    carrying.more = 0;
+    return report("info", "This is the last frame of the drive: the object cannot be carried on.");
+  }
+  Object.assign(carrying, { frame: frame + 1, track });
+  editTrack({ op: "track.propagate", track, first: frame, last: frame + 1, box: row.id, base: versionOf(row), fit: true }, (taken) => {
+    if (!taken || carrying.frame !== frame + 1 || state.frame !== frame) return void stopCarrying(); // refused, or a person went elsewhere meanwhile
+    show(frame + 1);
+  });
+}
+
+export const stopCarrying = (): boolean => {
+  const was = carrying.frame >= 0;
+  Object.assign(carrying, { frame: -1, track: -1, more: 0 });
+  return was;
+};
+
+/** The frame that an object was carried to stands: its new box is selected, and goes on if P was pressed again. */
+function carried(): void {
+  const { frame, track } = carrying;
+  if (frame < 0) return;
+  if (state.frame !== frame && state.frame !== frame - 1) return void stopCarrying();
+  if (shownFrame() !== frame || state.drawnFrame !== frame) return;
+  const row = state.boxes.find((one) => one.track === track && one.state !== "rejected");
+  carrying.frame = -1;
+  if (!row) return void stopCarrying();
+  select(row.id);
+  if (carrying.more === 0) return;
+  carrying.more -= 1;
+  carryOn(track, row);
+}
+
+function bindTracks(stage: Stage): void {
+  on("frame", () => { if (carrying.frame >= 0 && shownFrame() === carrying.frame) stage.request("all"); });
+  on("drawn", carried);
+  on("play", carried);
+  const through = (row: BoxRow): { frame: number; box: string; base: number } => ({ frame: shownFrame(), box: row.id, base: versionOf(row) });
+  bind("propagate", () => {
+    if (carrying.frame >= 0) carrying.more += 1;
+    else withTrack(carryOn);
+  });
+  bind("propagate.all", () => withTrack((track, row) => editTrack({ op: "track.propagate", track, first: shownFrame(), last: driveEnd(), box: row.id, base: versionOf(row), fit: true })));
+  bind("interpolate", () => withTrack((track, row) => {
     const keys = state.tracks.get(track)?.keyframes ?? [];
     if (keys.length < 2) report("info", "Interpolation needs two keyframes of the object: press K in two frames.");
-    else editTrack({ op: "track.interpolate", track, first: keys[0]!, last: keys[keys.length - 1]! });
+    else editTrack({ op: "track.interpolate", ...through(row), track, first: keys[0]!, last: keys[keys.length - 1]! });
   }));
-  bind("keyframe", () => withBox((row) => setBox(row, { source: row.source === "interpolated" || row.source === "propagated" ? "lidar" : row.source, state: "edited" })));
-  bind("end", () => withTrack((track) => {
+  bind("keyframe", () => withBox((row) => setBox(row, { source: row.keyframe ? row.source : "lidar", state: "edited" })));
+  bind("end", () => withTrack((track, row) => {
     const info = state.tracks.get(track);
-    editTrack({ op: "track.set", track, base: info?.version ?? 0, ends: info?.ends === state.frame ? -1 : state.frame });
+    editTrack({ op: "track.set", ...shownAs(row), track, base: info?.version ?? 0, ends: info?.ends === shownFrame() ? -1 : shownFrame() });
   }));
   bind("lock", () => withTrack((track, row) => {
     const info = state.tracks.get(track);
-    editTrack({ op: "track.set", track, base: info?.version ?? 0, size_locked: !info?.size_locked, size: row.box.slice(3, 6) });
+    editTrack({ op: "track.set", ...shownAs(row), track, base: info?.version ?? 0, size_locked: !info?.size_locked, size: row.box.slice(3, 6) });
   }));
 }
 
 export function driveEnd(): number {
-  const drive = state.welcome?.drives.find((one) => one.frames.includes(state.frame));
+  const drive = driveOf(shownFrame());
   return drive ? drive.frames[drive.frames.length - 1]! : (state.welcome?.frames ?? 1) - 1;
 }
 
@@ -266,11 +338,24 @@ export function setClass(name: string): void {
 export function bindAnnotation(stage: Stage): void {
   bindNudges(stage);
   bindBoxes(stage);
-  bindTracks();
+  bindTracks(stage);
   bind("undo", () => void (undo() || report("warning", "Not connected: undo again when the connection is back.")));
   bind("redo", () => void redo());
-  bind("save", () => void (send({ op: "save", id: newId() }) || report("warning", "Not connected: the edits are kept here and are sent later.")));
-  onReply("saved", (message) => report("info", message.sentence || `${message.files} files written to ${message.folder}`));
+  onReply("saved", (message) => {
+    withdraw("unwritten");
+    if (message.unwritten.length === 0) return report("info", message.sentence || `${message.files} label file${message.files === 1 ? "" : "s"} written to ${message.folder}`);
+    for (const { frame, box, sentence } of message.unwritten.slice(0, 3)) {
+      const go = (): void => {
+        show(frame);
+        if (box) state.jump = { frame, box };
+        changed("drawn");
+      };
+      report("error", `Frame ${frame + 1}${box ? `, box ${box}` : ""} was not written: ${sentence}`, `${message.files} other files were written; this one stays as it was, and the edit in the journal.`, [{ title: "Go there", act: go }], `unwritten ${frame} ${box ?? ""}`);
+    }
+  });
+  on("drawn", () => {
+    if (!state.jump || shownFrame() !== state.jump.frame) return;
+    select(state.jump.box);
+    state.jump = null;
+  });
 }
-
-export const describe = (box: Box): string => `${box.slice(0, 6).map((value) => value.toFixed(2)).join(" ")} ${degrees(box[6]).toFixed(1)}°`;

@@ -76,4 +76,19 @@ export function holds(box: Box, p: Vec3, margin = 0): boolean {
   return Math.abs(q[0]) <= box[3] / 2 + margin && Math.abs(q[1]) <= box[4] / 2 + margin && Math.abs(q[2]) <= box[5] / 2 + margin;
 }
 
+export const FARTHEST_M = 1000;
+export const LONGEST_M = 60;
+
+export const finite = (box: readonly number[]): boolean => box.every(Number.isFinite);
+
+/** What is wrong with a box, in words; empty: nothing. The server has the same bounds. */
+export function fault(box: readonly number[]): string {
+  if (box.length !== 7 || !finite(box)) return "A box needs seven finite numbers.";
+  const size = (["length", "width", "height"] as const).findIndex((_, i) => !(box[3 + i]! > 0 && box[3 + i]! <= LONGEST_M));
+  if (size >= 0) return `${["Length", "Width", "Height"][size]}: expected above 0 and up to ${LONGEST_M} m, got ${Number(box[3 + size]!.toPrecision(6))} m.`;
+  const place = [0, 1, 2].find((i) => Math.abs(box[i]!) > FARTHEST_M);
+  if (place !== undefined) return `${"xyz"[place]}: expected from -${FARTHEST_M} to ${FARTHEST_M} m, got ${Number(box[place]!.toPrecision(6))} m.`;
+  return Math.abs(box[6]!) <= 10 ? "" : "Yaw: expected a heading within ten radians.";
+}
+
 export const same = (a: Box, b: Box): boolean => a.every((value, i) => value === b[i]);

@@ -4,12 +4,14 @@ import "./calib.css";
 import { report } from "./bar";
 import { cameraLoaded, cameraPage, camera, directionToScreen, nearestPoint, picking, spread, pixelToScreen, solvePairs, togglePoints } from "./calibcamera";
 import type { Drawer } from "./calibgl";
-import { changed, frameNow, go, isRadar, keep, listenToServer, model, onChange, type Values } from "./calibmodel";
+import { changed, frameNow, go, isRadar, keep, listenToServer, model, onChange, openCalibration, type Values } from "./calibmodel";
 import { CAMERA_FIELDS, RADAR_FIELDS, type Field } from "./calibpanel";
 import { placed, radarFrame, radarLoaded, radarPage, radarView, toScreen } from "./calibradar";
-import { byId, fill, h } from "./dom";
+import { byId, counted, fill, h } from "./dom";
+import { toggleKeys } from "./keybox";
 import { bind, KEYS, listen, nameOf, readLayout, run, step } from "./keys";
 import { toPixel } from "./lens";
+import { post } from "./post";
 import { connect, newId, onReply, send } from "./socket";
 import { on, state } from "./state";
 
@@ -20,10 +22,10 @@ function header(): void {
   const frame = found?.frames[model.place];
   const kind = found?.kind === "radar-lidar" ? "radar to LiDAR" : "LiDAR to camera";
   const saved = !state.connected ? (state.everConnected ? "connection lost, trying again" : "connecting") : found?.unsaved ? "not saved" : "as saved";
-  fill(byId("header"), h("strong", {}, "farfield"), h("span", { class: "grow" }, h("span", { class: "place" }, state.welcome?.title ?? ""), h("span", { class: "weak" }, found ? `  ${kind}: ${found.lidar} and ${found.sensor}` : "")),
+  fill(byId("header"), h("h1", {}, "farfield"), h("span", { class: "grow", title: state.welcome?.title ?? "" }, h("span", { class: "place" }, state.welcome?.title ?? ""), h("span", { class: "weak" }, found ? `  ${kind}: ${found.lidar} and ${found.sensor}` : "")),
     h("span", { class: "weak" }, model.milliseconds ? `residual in ${model.milliseconds.toFixed(0)} ms` : ""),
-    h("span", { id: "saved", class: found?.unsaved ? "unsaved" : "weak" }, saved), h("span", { class: "weak" }, `${state.windows} window${state.windows > 1 ? "s" : ""}`),
-    h("button", { title: "Keys", onclick: () => run("help") }, "?"));
+    h("span", { id: "saved", class: found?.unsaved ? "unsaved" : "weak" }, saved), h("span", { class: "weak" }, counted(state.windows, "window")),
+    h("button", { title: "Keys", "aria-label": "? Keys", onclick: () => run("help") }, "?"));
   if (!found) return;
   const slider = byId("foot").querySelector<HTMLInputElement>("input");
   if (slider) [slider.max, slider.value] = [String(Math.max(0, found.frames.length - 1)), String(model.place)];
@@ -35,7 +37,7 @@ function footer(): void {
   const slider = h("input", { type: "range", min: "0", max: "0", value: "0", "aria-label": "frame", oninput: (event: Event) => go(Number((event.target as HTMLInputElement).value)) });
   const place = h("span", { class: "count" });
   const mouse = model.state?.kind === "radar-lidar" ? "drag: move the cloud · Ctrl+drag: turn it · right drag: move the view · wheel: nearer" : "wheel: enlarge · drag: move the picture · Ctrl+drag: turn the camera · N: pick";
-  fill(byId("foot"), h("button", { onclick: () => run("frame.previous"), title: "previous frame" }, "◀"), h("button", { onclick: () => run("frame.next"), title: "next frame" }, "▶"), slider, place, h("em", { class: "weak" }, mouse));
+  fill(byId("foot"), h("button", { onclick: () => run("frame.previous"), title: "previous frame", "aria-label": "previous frame" }, "◀"), h("button", { onclick: () => run("frame.next"), title: "next frame", "aria-label": "next frame" }, "▶"), slider, place, h("em", { class: "weak" }, mouse));
 }
 
 function nudge(fields: Field[], at: number, by: number) {
@@ -60,15 +62,15 @@ function bindKeys(radar: boolean): void {
   bind("calib.turn.right", (event) => act.get("calib.turn.right")!(event));
   bind("calib.offset.less", radar ? whole(-1) : () => undefined);
   bind("calib.offset.more", radar ? whole(1) : () => undefined);
-  bind("calib.refine", () => { if (!model.job) send({ op: "calib.solve", id: newId(), how: radar ? "objects" : "edges" }); });
+  bind("calib.refine", () => { if (!model.job) post({ op: "calib.solve", id: newId(), how: radar ? "objects" : "edges" }); });
   bind("calib.pairs", () => { if (!radar && !model.job) solvePairs(); });
   bind("calib.pick", () => { if (!radar) Object.assign(picking, { on: !picking.on, pixel: null }), changed(); });
   bind("calib.points", () => { if (!radar) togglePoints(); });
   bind("calib.blink", () => { model.blink = !model.blink; changed(); });
-  bind("undo", () => send({ op: "calib.undo", id: newId(), what: "undo" }));
-  bind("redo", () => send({ op: "calib.undo", id: newId(), what: "redo" }));
-  bind("save", () => send({ op: "calib.save", id: newId(), to: "data" }));
-  bind("delete", () => { if (picking.chosen !== null) send({ op: "calib.unpick", id: newId(), pick: picking.chosen }), (picking.chosen = null); });
+  bind("undo", () => post({ op: "calib.undo", id: newId(), what: "undo" }));
+  bind("redo", () => post({ op: "calib.undo", id: newId(), what: "redo" }));
+  bind("save", () => post({ op: "calib.save", id: newId(), to: "data" }));
+  bind("delete", () => { if (picking.chosen !== null) post({ op: "calib.unpick", id: newId(), pick: picking.chosen }), (picking.chosen = null); });
   bind("frame.previous", () => go(model.place - 1));
   bind("frame.next", () => go(model.place + 1));
   bind("frame.first", () => go(0));
@@ -82,21 +84,16 @@ const whole = (by: number) => (): void => {
 };
 
 function cancel(): void {
-  if (byId("over").className) help();
-  else if (model.job && model.state?.ready) send({ op: "calib.cancel", id: newId(), job: model.job.job });
+  if (model.job && model.state?.ready) send({ op: "calib.cancel", id: newId(), job: model.job.job });
   else if (picking.pixel) picking.pixel = null;
   else picking.on = false;
   changed();
 }
 
 function help(): void {
-  const over = byId("over");
-  if (over.className) return void ((over.className = ""), fill(over));
   const keys = KEYS.filter((key) => key.modes.includes("calibrate"));
-  over.className = "open help";
-  over.onclick = help;
-  fill(over, h("h2", {}, "Keys while calibrating"), h("p", { class: "weak" }, "Keys that move go ten times as far with Shift and a fifth with Alt. A camera is turned, a radar's cloud is moved."),
-    h("div", { class: "groups" }, ...keys.map((key) => h("div", { class: "key" }, h("kbd", {}, nameOf(key)), h("span", {}, key.title)))));
+  const groups = [...new Set(keys.map((key) => key.group))].map((group) => ({ title: group, rows: keys.filter((key) => key.group === group).map((key): [string, string] => [nameOf(key), key.title]) }));
+  toggleKeys("Keys while calibrating", "Tab goes through all that can be pressed. Keys that move go ten times as far with Shift and a fifth with Alt. A camera is turned, a radar's cloud is moved.", groups);
 }
 
 function offerTest(): void {
@@ -136,7 +133,7 @@ function start(): void {
   listenToServer();
   onReply("welcome", (message) => {
     Object.assign(state, { welcome: message, mode: "calibrate", windows: message.windows, everConnected: true });
-    send({ op: "calib.open", id: newId() });
+    openCalibration();
   });
   onReply("windows", (message) => { state.windows = message.count; changed(); });
   onReply("calib.state", (message) => {

@@ -1,12 +1,14 @@
 // LiDAR against camera: the picture with the cloud projected into it, the cloud by direction for picking, pairs, the solvers.
 
-import { ask, changed, drawn, frameNow, isRadar, keep, model, move, stateOf } from "./calibmodel";
+import { ask, changed, drawn, frameNow, giveBack, isRadar, keep, model, move, stateOf } from "./calibmodel";
 import { Drawer, type Look, type Places, type Rect } from "./calibgl";
 import { button, CAMERA_FIELDS, figures, histogram, lensTable, notes, progress, saving, show, valueRow } from "./calibpanel";
 import { byId, clamp, fill, h } from "./dom";
+import { begin, cancelGesture, end } from "./gestures";
 import { cameraOf, toPixel } from "./lens";
 import type { CameraModel, CameraValues, PickRow } from "./protocol";
-import { newId, send } from "./socket";
+import { post } from "./post";
+import { newId } from "./socket";
 import { decode } from "./wire";
 
 const SPLIT = [0.4, 0.72]; // of the height is the picture's, least and most
@@ -151,8 +153,11 @@ function lines(lens: CameraModel | null): void {
   const paper = canvas.getContext("2d")!;
   paper.font = "11px system-ui, sans-serif";
   const { strip, top } = rects();
-  paper.fillStyle = "#8b98a7";
-  paper.fillText("the cloud as the LiDAR sees it: near is bright", 8, strip.y + strip.height - 6);
+  const caption = "the cloud as the LiDAR sees it: near is bright";
+  paper.fillStyle = "rgba(8, 11, 15, 0.8)";
+  paper.fillRect(4, strip.y + strip.height - 20, paper.measureText(caption).width + 8, 18);
+  paper.fillStyle = "#a9b5c2";
+  paper.fillText(caption, 8, strip.y + strip.height - 7);
   for (const pick of model.state?.picks ?? []) if (pick.frame === frameNow()) drawPick(paper, pick, lens, top);
   if (picking.pixel) cross(paper, pixelToScreen(picking.pixel), "#7fffd4", 9);
 }
@@ -227,7 +232,7 @@ function clicked(at: [number, number]): void {
   } else {
     const point = pointAt(at);
     if (point) {
-      send({ op: "calib.pick", id: newId(), frame: frameNow(), point_m: point, pixel: picking.pixel });
+      post({ op: "calib.pick", id: newId(), frame: frameNow(), point_m: point, pixel: picking.pixel });
       picking.pixel = null;
     }
   }
@@ -247,6 +252,8 @@ function listen(main: HTMLElement): void {
   main.addEventListener("pointerdown", (event) => {
     start = last = here(event);
     turns = (event.ctrlKey || event.metaKey) && !!model.state?.ready && !model.job;
+    const before = model.values;
+    if (turns) begin(() => { start = null; giveBack(before); });
     main.setPointerCapture(event.pointerId);
   });
   main.addEventListener("pointermove", (event) => {
@@ -263,7 +270,9 @@ function listen(main: HTMLElement): void {
       changed();
     }
   });
+  main.addEventListener("pointercancel", () => { cancelGesture(); start = null; });
   main.addEventListener("pointerup", (event) => {
+    end();
     const at = here(event);
     if (start && turns && model.moving && model.values) keep(model.values);
     else if (start && event.button === 0 && Math.hypot(at[0] - start[0], at[1] - start[1]) <= 4) clicked(at);
@@ -295,18 +304,18 @@ function pairsTable(): HTMLElement {
   show(() => {
     const rows = model.state?.picks ?? [];
     const body = rows.map((row) => h("tr", { class: row.pick === picking.chosen ? "chosen" : row.used ? "" : "out", "data-pick": String(row.pick), onclick: () => { picking.chosen = row.pick; changed(); } },
-      h("td", {}, h("input", { type: "checkbox", checked: row.used, title: "counts", onchange: (event: Event) => send({ op: "calib.unpick", id: newId(), pick: row.pick, used: (event.target as HTMLInputElement).checked }) })),
+      h("td", {}, h("input", { type: "checkbox", checked: row.used, title: "counts", "aria-label": `pair ${row.pick} counts`, onchange: (event: Event) => post({ op: "calib.unpick", id: newId(), pick: row.pick, used: (event.target as HTMLInputElement).checked }) })),
       h("td", {}, row.pick), h("td", {}, `${row.pixel[0]!.toFixed(0)}, ${row.pixel[1]!.toFixed(0)}`), h("td", {}, `${row.range_m.toFixed(1)} m`),
       h("td", { class: (row.residual_px ?? 99) > 8 ? "far" : "" }, row.residual_px === null ? "behind" : `${row.residual_px.toFixed(1)} px`),
-      h("td", {}, h("button", { class: "quiet small", title: "Remove (Delete)", onclick: () => send({ op: "calib.unpick", id: newId(), pick: row.pick }) }, "×"))));
-    fill(element, rows.length ? h("table", {}, h("tr", {}, ...["", "", "pixel", "range", "off", ""].map((name) => h("th", {}, name))), ...body) : h("p", { class: "weak" }, "Pick (N): a pixel of the picture, then its point in the cloud or among those drawn. Six pairs solve; spread them over the picture and over ranges."));
+      h("td", {}, h("button", { class: "quiet small", title: "Remove (Delete)", onclick: () => post({ op: "calib.unpick", id: newId(), pick: row.pick }) }, "×"))));
+    fill(element, rows.length ? h("table", {}, h("tr", {}, ...["counts", "pair", "pixel", "range", "off", "remove"].map((name) => h("th", { class: ["counts", "pair", "remove"].includes(name) ? "unseen" : "" }, h("span", {}, name)))), ...body) : h("p", { class: "weak" }, "Pick (N): a pixel of the picture, then its point in the cloud or among those drawn. Six pairs solve; spread them over the picture and over ranges."));
   });
   return element;
 }
 
 let focal = false;
 
-export const solvePairs = (): void => void send({ op: "calib.solve", id: newId(), how: "pairs", focal });
+export const solvePairs = (): void => void post({ op: "calib.solve", id: newId(), how: "pairs", focal });
 export const togglePoints = (): void => { points = !points; changed(); };
 
 export function cameraPage(): Drawer {
@@ -315,7 +324,7 @@ export function cameraPage(): Drawer {
   const busy = (): boolean => !model.state?.ready || model.job !== null;
   const used = (): number => (model.state?.picks ?? []).filter((row) => row.used).length;
   fill(byId("right"),
-    h("h3", {}, "camera: turns and shifts from its start"),
+    h("h2", {}, "camera: turns and shifts from its start"),
     ...CAMERA_FIELDS.map(valueRow), lensTable(),
     h("div", { class: "row" },
       button("Pick", "calib.pick", (one) => { one.disabled = busy(); one.classList.toggle("on", picking.on); }),
@@ -328,8 +337,8 @@ export function cameraPage(): Drawer {
       button("Redo", "redo", (one) => (one.disabled = !model.state?.redo || model.job !== null)),
       button("Before", "calib.blink", (one) => { one.classList.toggle("on", model.blink); one.textContent = model.blink ? "After" : "Before"; }),
     ),
-    progress(), h("h3", {}, "residual: across the edges of the picture"), figures(), histogram(),
-    h("h3", {}, "picked pairs"), pairsTable(), h("h3", {}, "what the data cannot tell"), notes(), saving());
+    progress(), h("h2", {}, "residual: across the edges of the picture"), figures(), histogram(),
+    h("h2", {}, "picked pairs"), pairsTable(), h("h2", {}, "what the data cannot tell"), notes(), saving());
   show(() => {
     draw(drawer);
     void loaded(drawer);

@@ -2,6 +2,7 @@
 
 import { report } from "./bar";
 import type { CalibResidual, CalibState, CameraValues, FrameState, Job, RadarValues, Residuals } from "./protocol";
+import { post } from "./post";
 import { newId, onReply, send } from "./socket";
 
 export type Values = RadarValues | CameraValues;
@@ -85,7 +86,16 @@ export function move(values: Values): void {
   changed();
 }
 
+/** A drag is given up: the values are as they were before it. */
+export function giveBack(values: Values | null): void {
+  if (!values || !model.moving) return;
+  Object.assign(model, { values, moving: false, blink: false });
+  ask();
+  changed();
+}
+
 let sent = ""; // a change that is not yet acknowledged
+let sentValues: Values | null = null;
 let next: Values | null = null; // the one after it
 
 /** Keep what was moved: one step of undo. A change waits for the one before, for it counts from the state that this makes. */
@@ -99,10 +109,54 @@ export function keep(values: Values): void {
 
 function put(values: Values): void {
   const id = newId();
-  if (model.state && send({ op: "calib.set", id, base: model.state.seq, ...as(values) })) sent = id;
+  if (model.state && send({ op: "calib.set", id, base: model.state.seq, ...as(values) })) [sent, sentValues] = [id, values];
+  else next = values; // until the connection is back
 }
 
+let opening = "";
+
+/** Ask for the calibration as it stands, at the start and after a lost connection. */
+export function openCalibration(): void {
+  opening = newId();
+  asked = null; // its answer went with the connection
+  send({ op: "calib.open", id: opening });
+}
+
+interface Work {
+  values: Values;
+  picks: CalibState["picks"];
+}
+
+let lost: Work | null = null; // what a studio that began anew does not have
+let picksDue: CalibState["picks"] = [];
+
+/** What a lost connection may have cost: changes that got no answer, or all that was not saved where the studio began anew. */
+function recover(message: CalibState): void {
+  const before = model.state;
+  if (!before || !model.values) return;
+  const theirs = message.radar ?? message.camera;
+  if (message.seq < before.seq) {
+    lost ??= { values: model.values, picks: before.picks };
+    [sent, next] = ["", null];
+  } else if (message.answers === opening && (sent || next)) {
+    const values = next ?? sentValues!;
+    const ours = [before.radar ?? before.camera, sentValues, values];
+    [sent, next] = ["", null];
+    if (!ours.some((one) => same(one, theirs))) report("warning", "Another window changed the calibration meanwhile.", "Change it again.");
+    else if (!same(values, theirs)) next = values;
+  }
+  if (!lost || !message.ready) return;
+  const there = new Set(message.picks.map((pick) => JSON.stringify([pick.frame, pick.point_m])));
+  picksDue = lost.picks.filter((pick) => !there.has(JSON.stringify([pick.frame, pick.point_m])));
+  next = same(lost.values, theirs) ? null : lost.values;
+  lost = null;
+  report("info", "The studio was started again: what was not saved is set anew.");
+}
+
+const same = (a: Values | null, b: Values | null): boolean => JSON.stringify(a) === JSON.stringify(b);
+
 function told(message: CalibState): void {
+  recover(message);
   const first = !model.state?.ready && message.ready;
   const other = JSON.stringify([message.radar, message.camera, message.picks]) !== JSON.stringify([model.state?.radar, model.state?.camera, model.state?.picks]);
   model.state = message;
@@ -112,7 +166,9 @@ function told(message: CalibState): void {
     next = null;
     put(waiting);
   }
-  if (!model.moving && !sent) model.values = message.radar ?? message.camera;
+  for (const pick of picksDue) post({ op: "calib.pick", id: newId(), frame: pick.frame, point_m: pick.point_m, pixel: pick.pixel });
+  picksDue = [];
+  if (!model.moving && !sent && !next) model.values = message.radar ?? message.camera;
   model.place = Math.min(model.place, message.frames.length - 1);
   if (first || other) ask();
   changed();

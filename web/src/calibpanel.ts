@@ -4,7 +4,8 @@ import { changed, isRadar, keep, model, move, onChange, type Values } from "./ca
 import { degrees, fill, h, radians } from "./dom";
 import { run } from "./keys";
 import type { Bars, Known } from "./protocol";
-import { newId, send } from "./socket";
+import { post } from "./post";
+import { newId } from "./socket";
 
 export interface Field {
   key: string;
@@ -205,8 +206,8 @@ export function progress(): HTMLElement {
 export function saving(): HTMLElement {
   const words = h("div", { class: "places" });
   const data = h("button", { class: "main", "data-save": "data", onclick: () => run("save") }, "Save");
-  const folder = h("button", { "data-save": "folder", onclick: () => send({ op: "calib.save", id: newId(), to: "folder" }) }, "Save to results");
-  const back = h("button", { "data-save": "restore", onclick: () => send({ op: "calib.restore", id: newId() }), title: "Put back, byte for byte, what the last save replaced" }, "Put back");
+  const folder = h("button", { "data-save": "folder", onclick: () => post({ op: "calib.save", id: newId(), to: "folder" }) }, "Save to results");
+  const back = h("button", { "data-save": "restore", onclick: () => post({ op: "calib.restore", id: newId() }), title: "Put back, byte for byte, what the last save replaced" }, "Put back");
   shows.push(() => {
     const { state } = model;
     if (!state) return;

@@ -1,9 +1,10 @@
 // Radar against LiDAR: the radar's map from above, the LiDAR's points over it, moved by the hand or by the solver.
 
-import { ask, changed, drawn, frameNow, isRadar, keep, model, move, stateOf } from "./calibmodel";
+import { ask, changed, drawn, frameNow, giveBack, isRadar, keep, model, move, stateOf } from "./calibmodel";
 import { Drawer, type Above, type Places, type Rect } from "./calibgl";
 import { button, chart, figures, histogram, notes, progress, RADAR_FIELDS, saving, show, valueRow } from "./calibpanel";
 import { byId, fill, h, wrapped } from "./dom";
+import { begin, cancelGesture, end } from "./gestures";
 import type { Layer, RadarValues } from "./protocol";
 import { levelled, radarPicture, spread, type RadarPicture } from "./radarlevels";
 import { decode } from "./wire";
@@ -184,6 +185,8 @@ function listen(main: HTMLElement): void {
     how = event.button !== 0 || event.shiftKey ? "view" : event.ctrlKey || event.metaKey ? "turn" : "cloud";
     if (how !== "view" && (!model.state?.ready || model.job)) how = "view";
     last = here(event);
+    const before = model.values;
+    if (how !== "view") begin(() => { last = null; giveBack(before); });
     main.setPointerCapture(event.pointerId);
   });
   main.addEventListener("pointermove", (event) => {
@@ -204,7 +207,9 @@ function listen(main: HTMLElement): void {
       }
     }
   });
+  main.addEventListener("pointercancel", () => void cancelGesture());
   main.addEventListener("pointerup", () => {
+    end();
     if (last && how !== "view" && model.moving && model.values) keep(model.values);
     last = null;
   });
@@ -248,7 +253,7 @@ function scatter(): HTMLElement {
   }, "Residual in range of every matched object");
   const choose = h("select", { "aria-label": "residual against", onchange: (event: Event) => { against = (event.target as HTMLSelectElement).value as keyof typeof AGAINST; changed(); } },
     ...Object.keys(AGAINST).map((name) => h("option", { value: name }, name)));
-  return h("div", {}, h("h3", { class: "with" }, "residual in range against ", choose), canvas);
+  return h("div", {}, h("h2", { class: "with" }, "residual in range against ", choose), canvas);
 }
 
 function offsets(): HTMLElement {
@@ -257,7 +262,7 @@ function offsets(): HTMLElement {
     const rows = model.state?.offsets ?? [];
     const most = Math.max(1, ...rows.map((row) => row.worse));
     const chosen = isRadar(model.values!) ? (model.values as RadarValues).frames : 0;
-    fill(element, ...(rows.length ? [h("h3", {}, "frame offset: worse than the best, in sigma"), h("div", { class: "columns" }, ...rows.map((row) =>
+    fill(element, ...(rows.length ? [h("h2", {}, "frame offset: worse than the best, in sigma"), h("div", { class: "columns" }, ...rows.map((row) =>
       h("div", { class: row.frames === chosen ? "chosen" : "", title: `${row.worse.toFixed(1)} sigma` }, h("i", { "data-tall": String(row.worse / most) }), h("span", {}, `${row.frames > 0 ? "+" : ""}${row.frames}`))))] : []));
     element.querySelectorAll<HTMLElement>("i").forEach((bar) => (bar.style.height = `${2 + 22 * Number(bar.dataset.tall)}px`));
   });
@@ -268,7 +273,7 @@ export function radarPage(): Drawer {
   const main = byId("main");
   const drawer = new Drawer(byId("gl") as HTMLCanvasElement);
   fill(byId("right"),
-    h("h3", { title: "p radar = R(yaw) p lidar + (x, y, z)" }, "from LiDAR to radar: yaw, then x, y, z"),
+    h("h2", { title: "p radar = R(yaw) p lidar + (x, y, z)" }, "from LiDAR to radar: yaw, then x, y, z"),
     ...RADAR_FIELDS.map(valueRow),
     h("div", { class: "row" },
       button("Refine", "calib.refine", (one) => (one.disabled = !model.state?.ready || model.job !== null), "main"),
@@ -276,8 +281,8 @@ export function radarPage(): Drawer {
       button("Redo", "redo", (one) => (one.disabled = !model.state?.redo || model.job !== null)),
       button("Before", "calib.blink", (one) => { one.classList.toggle("on", model.blink); one.textContent = model.blink ? "After" : "Before"; }),
     ),
-    progress(), h("h3", {}, "residual of matched objects, median"), figures(), histogram(), scatter(), offsets(),
-    h("h3", {}, "what the data cannot tell"), notes(), saving());
+    progress(), h("h2", {}, "residual of matched objects, median"), figures(), histogram(), scatter(), offsets(),
+    h("h2", {}, "what the data cannot tell"), notes(), saving());
   show(() => {
     draw(drawer);
     void loaded(drawer).catch((error: Error) => (missing = error.message));

@@ -55,6 +55,7 @@ function frameOf(stage: Stage, strip: Strip): HTMLElement {
   const lag = layer.lag_ms ? ` ${layer.lag_ms > 0 ? "+" : ""}${layer.lag_ms.toFixed(0)} ms` : "";
   const missing = layer.camera ? "" : " · no calibration: points and boxes are not drawn";
   const big = options.big === layer.name;
+  Object.assign(canvas, { tabIndex: 0, role: "button", ariaLabel: `${layer.title}: ${big ? "smaller" : "larger"}` });
   canvas.style.aspectRatio = `${canvas.width} / ${canvas.height}`;
   const element = h("div", { class: `camera${big ? " big" : ""}`, "data-camera": layer.name, title: "click: larger; double click: points on or off" }, canvas, h("span", {}, `${layer.title}${lag}${missing}`));
   canvas.addEventListener("click", () => {

@@ -33,21 +33,4 @@ export function table(): Uint8Array<ArrayBuffer> {
   return out;
 }
 
-const OKABE_ITO = ["#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#BBBBBB"];
-const LIGHT = ["#E69F00", "#56B4E9", "#00C08B", "#F0E442", "#4E9BE0", "#FF7A33", "#E08FBB", "#C8C8C8"];
-const USUAL: Record<string, number> = {
-  sedan: 0, car: 0, vehicle: 0, van: 0,
-  bus: 1, truck: 1, "bus or truck": 1, large_vehicle: 1, trailer: 1,
-  pedestrian: 2, "pedestrian group": 2, person: 2, person_sitting: 2,
-  cyclist: 3, bicycle: 3, "bicycle group": 3, bicyclist: 3, rider: 3,
-  motorcycle: 6, motorcyclist: 6, moped_scooter: 6,
-};
-
-/** The colour of a class: fixed for the usual names, by its place in the list for others. */
-export function classColour(name: string, classes: readonly string[] = []): string {
-  const usual = USUAL[name.toLowerCase()];
-  const index = usual ?? 4 + (Math.max(0, classes.indexOf(name)) % (OKABE_ITO.length - 4));
-  return LIGHT[index]!;
-}
-
 export const PATTERN_COLOURS = ["#56B4E9", "#E69F00", "#00C08B", "#E08FBB", "#F0E442", "#D55E00"];

@@ -18,10 +18,29 @@ export function h<K extends keyof HTMLElementTagNameMap>(tag: K, props: Props = 
   return element;
 }
 
+/** Put children into an element. A control that has the focus keeps it, or leaves it to the one that takes its place: that of its name in its row. */
 export function fill(element: Element, ...children: Child[]): void {
   const nodes = children.filter((child) => child !== null && child !== undefined && child !== false);
+  const active = document.activeElement instanceof HTMLElement && element.contains(document.activeElement) && document.activeElement !== element ? document.activeElement : null;
+  const name = active && !typing(active) ? callName(active) : "";
   element.replaceChildren(...nodes.map((child) => (child instanceof Node ? child : String(child))));
+  if (!active) return;
+  const next = element.contains(active) ? active : name && [...element.querySelectorAll<HTMLElement>("button, input, [tabindex]")].find((one) => callName(one) === name);
+  if (next) next.focus({ preventScroll: true });
 }
+
+const ROWS = ["data-bar", "data-check", "data-box", "data-camera", "data-frame"];
+
+/** What tells a control from all others of a part: its row, and its name in that. */
+function callName(element: Element): string {
+  const row = element.closest(ROWS.map((name) => `[${name}]`).join());
+  const key = row ? ROWS.map((name) => row.getAttribute(name)).join() : "";
+  if (row === element) return key;
+  return `${key} ${["name", "aria-label", "title"].map((name) => element.getAttribute(name)).find((one) => one) ?? element.textContent ?? ""}`;
+}
+
+/** A number of things in words: 1 frame, 2 frames. */
+export const counted = (count: number, one: string, more = `${one}s`): string => `${count.toLocaleString("en")} ${count === 1 ? one : more}`;
 
 export function byId(id: string): HTMLElement {
   const found = document.getElementById(id);

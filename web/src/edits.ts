@@ -1,34 +1,54 @@
-// Edits: shown at once, sent one after the other for each box, kept in the browser until the server has them on its disk.
+// Edits: shown at once, sent in an order that none overtakes one it depends on, kept in the browser until the server has them on its disk.
 
-import { report } from "./bar";
-import { show } from "./frames";
+import { report, withdraw } from "./bar";
+import { fault, finite, type Box } from "./boxes";
+import { refresh, show } from "./frames";
 import { states } from "./loader";
-import type { Ack, BoxAdd, BoxDelete, BoxRow, BoxSet, BoxValue, Changed, Conflict, TrackInterpolate, TrackMerge, TrackPropagate, TrackRow, TrackSet, TrackSplit } from "./protocol";
+import type {
+  Ack, BoxAccept, BoxAdd, BoxDelete, BoxRow, BoxSet, BoxValue, Changed, Conflict, Redo, TrackInterpolate, TrackMerge, TrackPropagate, TrackRow, TrackSet, TrackSplit, Undo,
+} from "./protocol";
+import { beginAnew, drag, draggedByOther, forgetOther, onTop, place, redraw, remove, shownRows, stands, stored, withBox } from "./rows";
 import { newId, onReply, send, windowName } from "./socket";
-import { changed, state } from "./state";
+import { changed, on, shownFrame, state } from "./state";
 
 type BoxEdit = BoxSet | BoxAdd | BoxDelete;
-type Edit = BoxEdit | TrackSet | TrackMerge | TrackSplit | TrackInterpolate | TrackPropagate;
+type TrackEdit = TrackSet | TrackMerge | TrackSplit | TrackInterpolate | TrackPropagate;
+type Step = Undo | Redo;
+type Edit = BoxEdit | BoxAccept | TrackEdit | Step;
 
-let queue: Edit[] = [];
-const sent = new Set<string>();
-const settled = new Map<string, (row: BoxRow | null) => void>();
+interface Waiting {
+  edit: Edit;
+  change?: Partial<BoxValue>; // of box.set: what the gesture changed; the rest is as it is stored
+  tracks: number[]; // that it concerns
+  sent: number; // when; 0: not yet
+  after: number; // not before this time
+}
+
+const SILENCE_MS = 4000; // without an answer it is sent again, under its own name
+const RATE_MS = 1000;
+const STEP = "step"; // the question about an undo: it concerns the last step only as long as nothing else is done
+
+let queue: Waiting[] = [];
+const settled = new Map<string, (taken: boolean) => void>();
 let store = "";
-
-const keyOf = (edit: Edit): string => ("box" in edit ? `${edit.frame} ${edit.box}` : `track ${edit.track}`);
 
 /**
  * Take up the edits that other pages of this data set could not send. A window that lives holds the lock of its own: where one does,
  * this waits until it is closed.
  */
-export async function open(data: string): Promise<void> {
-  sent.clear();
+export async function open(data: string, annotation: string): Promise<void> {
+  beginAnew();
+  const viewed = state.welcome?.mode !== "annotate"; // nothing that was kept is taken here: it waits for a studio that does
+  state.stopped = viewed && state.mode === "annotate" ? "The data set is served to be viewed only by now." : "";
+  if (viewed) return;
+  for (const entry of queue) entry.sent = entry.after = 0;
   if (!store) {
-    const prefix = `farfield-edits ${data} `;
+    const prefix = `farfield-edits ${annotation} `;
+    const earlier = `farfield-edits ${data} `; // as versions named them that did not tell two data sets of one kind apart
     store = prefix + windowName;
     void navigator.locks?.request(store, () => new Promise(() => undefined));
     const held = ((await navigator.locks?.query())?.held ?? []).map((lock) => lock.name ?? "");
-    const others = new Set([...Object.keys(localStorage), ...held].filter((one) => one.startsWith(prefix) && one !== store));
+    const others = new Set([...Object.keys(localStorage), ...held].filter((one) => (one.startsWith(prefix) || one.startsWith(earlier)) && one !== store));
     for (const name of others) {
       if (held.includes(name)) void navigator.locks.request(name, () => { takeUp(name); pump(); });
       else takeUp(name);
@@ -38,181 +58,368 @@ export async function open(data: string): Promise<void> {
 }
 
 function takeUp(name: string): void {
-  const found = JSON.parse(localStorage.getItem(name) ?? "[]") as Edit[];
+  const found = JSON.parse(localStorage.getItem(name) ?? "[]") as (Waiting | Edit)[];
   localStorage.removeItem(name);
-  queue.push(...found);
-  if (found.length > 0) report("info", `${found.length} edits of before are sent again.`);
+  const entries = found.map((one): Waiting => ("edit" in one ? { ...one, sent: 0, after: 0 } : { edit: one, tracks: [], sent: 0, after: 0 }));
+  for (const { edit } of entries) if ("box" in edit && !edit.box.includes(":")) edit.box = `${frameOf(edit)}:${edit.box}`; // as earlier versions named boxes
+  queue.push(...entries);
+  if (found.length > 0) report("info", `Edits of before are sent again: ${found.length}.`);
 }
 
+const isStep = (edit: Edit): edit is Step => edit.op === "undo" || edit.op === "redo";
+/** Whether an edit may concern any box, so that nothing overtakes it and it overtakes nothing. */
+const isWide = (edit: Edit): edit is Step | BoxAccept => isStep(edit) || edit.op === "box.accept";
+const isTrackEdit = (edit: Edit): edit is TrackEdit => edit.op.startsWith("track.");
+
 function keep(): void {
-  if (queue.length > 0) localStorage.setItem(store, JSON.stringify(queue));
-  else localStorage.removeItem(store);
+  const kept = queue.filter(({ edit }) => !isStep(edit));
+  state.unkept = false;
+  try {
+    if (kept.length > 0) localStorage.setItem(store, JSON.stringify(kept));
+    else if (store) localStorage.removeItem(store);
+  } catch {
+    state.unkept = true;
+  }
   state.pending = queue.length;
   changed("connection");
 }
 
-/** Send what can go: of each box, only its oldest edit, with the version that the server last gave. */
+window.addEventListener("beforeunload", (event) => {
+  if (state.unkept && state.pending > 0) event.preventDefault();
+});
+
+/** Whether one of two edits has to wait for the other: their objects are the same, or one may change the other's. */
+function clash(a: Waiting, b: Waiting): boolean {
+  if (isWide(a.edit) || isWide(b.edit)) return true;
+  if ("box" in a.edit && "box" in b.edit && a.edit.box === b.edit.box) return true;
+  const shared = a.tracks.some((track) => b.tracks.includes(track));
+  if (isTrackEdit(a.edit) || isTrackEdit(b.edit)) return shared;
+  return shared && a.tracks.some((track) => state.tracks.get(track)?.size_locked);
+}
+
+/** Send what can go: nothing overtakes an edit on which it depends. */
 function pump(): void {
-  const busy = new Set<string>();
-  for (const edit of queue) {
-    const key = keyOf(edit);
-    if (busy.has(key)) continue;
-    busy.add(key);
-    if (!sent.has(edit.id) && send(edit)) sent.add(edit.id);
-  }
+  const now = performance.now();
+  queue.forEach((entry, at) => {
+    if (entry.sent > 0 || entry.after > now || state.stopped) return;
+    for (let earlier = 0; earlier < at; earlier += 1) if (clash(queue[earlier]!, entry)) return;
+    const { edit, change } = entry;
+    if (edit.op === "box.set" && change) {
+      const row = stored(edit.frame, edit.box);
+      if (row && row.version === edit.base) edit.value = { ...valueOf(row), ...change };
+    }
+    if (send(edit)) entry.sent = now;
+  });
   keep();
 }
 
-function rows(frame: number): BoxRow[] {
-  const found = states.get(frame);
-  return found?.boxes ?? (state.shown?.frame.index === frame ? state.boxes : []);
-}
+/** What got no answer is sent again: the server knows it by its name, and does nothing twice. */
+window.setInterval(() => {
+  if (!state.connected || queue.length === 0) return;
+  const now = performance.now();
+  for (const entry of queue) if (entry.sent > 0 && now - entry.sent > SILENCE_MS) entry.sent = 0;
+  if (queue.some((entry) => entry.sent === 0)) pump();
+}, RATE_MS);
 
-function put(frame: number, list: BoxRow[]): void {
-  const found = states.get(frame);
-  if (found) found.boxes = list;
-  changed("boxes");
-  if (state.shown?.frame.index !== frame) return;
-  state.shown.boxes = list;
-  state.boxes = list;
-  changed("boxes", "selection");
-}
-
-function write(frame: number, row: BoxRow): void {
-  const list = rows(frame);
-  put(frame, list.some((one) => one.id === row.id) ? list.map((one) => (one.id === row.id ? row : one)) : [...list, row]);
-}
+on("connection", () => {
+  if (!state.connected) for (const entry of queue) entry.sent = 0;
+});
 
 export const valueOf = (row: BoxRow): BoxValue => ({
   box: row.box, class_name: row.class_name, track: row.track, state: row.state, source: row.source, attributes: row.attributes,
 });
 
-/** Change a box of the frame shown. */
-export function setBox(row: BoxRow, change: Partial<BoxValue>, group: string | null = null): void {
-  addEditFor(state.frame, row, change, group);
-}
+onTop((frame, rows) => {
+  let shown = rows;
+  for (const { edit, change } of queue) {
+    if (!("box" in edit) || !("frame" in edit) || edit.frame !== frame) continue;
+    if (edit.op === "box.delete") shown = shown.filter((row) => row.id !== edit.box);
+    else if (edit.op === "box.set") shown = shown.map((row) => (row.id === edit.box ? withBox({ ...row, ...(change ?? edit.value) } as BoxRow, (change ?? edit.value).box ?? row.box) : row));
+    else if (edit.op === "box.add" && !shown.some((row) => row.id === edit.box)) shown = [...shown, rowOf(edit)];
+  }
+  return shown;
+});
 
-/** Change a box of any frame that the page knows. A change that still waits for its turn is replaced, not repeated. */
-export function addEditFor(frame: number, row: BoxRow, change: Partial<BoxValue>, group: string | null = null): void {
-  const now = rows(frame).find((one) => one.id === row.id) ?? row;
-  const value: BoxValue = { ...valueOf(now), ...(now.state === "accepted" || now.state === "proposed" ? { state: "edited" as const } : {}), ...change };
-  write(frame, { ...now, ...value, distance_m: Math.hypot(value.box[0]!, value.box[1]!) } as BoxRow);
-  const late = queue.findLast((edit) => keyOf(edit) === `${frame} ${row.id}`);
-  if (late && "value" in late && !sent.has(late.id) && !group) late.value = value;
-  else queue.push({ op: "box.set", id: newId(), frame, box: row.id, base: now.version, value, group });
-  pump();
-}
-
-/** Show a box as it is dragged; the edit follows at the end. */
-export function previewBox(row: BoxRow, box: number[]): void {
-  write(state.frame, { ...row, box, distance_m: Math.hypot(box[0]!, box[1]!) });
-  send({ op: "preview", frame: state.frame, box: row.id, value: box });
-}
-
-export function addBox(value: BoxValue, group: string | null = null, frame = state.frame): string {
-  const box = newId();
-  const row: BoxRow = {
-    id: box, track: value.track ?? null, class_name: value.class_name, box: value.box, version: 0, state: value.state ?? "edited", source: value.source ?? "lidar",
+function rowOf(edit: BoxAdd): BoxRow {
+  const { value } = edit;
+  return {
+    id: edit.box, track: value.track ?? null, class_name: value.class_name, box: value.box, version: 0, state: value.state ?? "edited", source: value.source ?? "lidar",
     attributes: value.attributes ?? {}, score: null, points: null, radar_points: null, distance_m: Math.hypot(value.box[0]!, value.box[1]!), keyframe: true,
     visibility: null, moving: null, proposal: null,
   };
-  write(frame, row);
-  queue.push({ op: "box.add", id: newId(), frame, box, value, group });
+}
+
+const VIEWING = "Boxes are viewed only: nothing was changed.";
+const STEPPING = "An undo is still on its way: nothing was changed.";
+
+/** Whether an undo is still on its way, which is said: what is shown may not be what it leaves. */
+export function stepping(): boolean {
+  const found = queue.some(({ edit }) => isStep(edit));
+  if (found) report("warning", STEPPING, "Do it again when it is there.");
+  return found;
+}
+
+/** Why nothing of the frame can be changed now; empty: it can. An edit concerns what is shown, and nothing else. */
+export function whyNot(): string {
+  if (state.mode !== "annotate") return VIEWING;
+  const frame = state.shown?.frame.index ?? -1;
+  if (frame !== state.frame || state.drawnFrame !== frame) return `Frame ${state.frame + 1} is not shown yet: nothing was changed.`;
+  if (state.shown!.unreadable) return `Frame ${frame + 1} cannot be read: nothing can be changed in it.`;
+  if (queue.some(({ edit }) => isStep(edit))) return STEPPING;
+  return "";
+}
+
+/** Whether what is shown can be changed; if not it is said why. */
+export function mayEdit(): boolean {
+  const reason = whyNot();
+  if (reason) report("warning", reason, reason === VIEWING ? "Press Annotate first." : "Do it again when it is there.");
+  return reason === "";
+}
+
+/** Change a box of the frame shown; whether that was possible. */
+export function setBox(row: BoxRow, change: Partial<BoxValue>, group: string | null = null): boolean {
+  return mayEdit() && addEditFor(shownFrame(), row, change, group);
+}
+
+/** Change a box of any frame; where the boxes of the frame are not here it is as `row` has it. A change that still waits for its turn is replaced, not repeated. */
+export function addEditFor(frame: number, row: BoxRow, change: Partial<BoxValue>, group: string | null = null): boolean {
+  const now = shownRows(frame).find((one) => one.id === row.id) ?? (stands(frame) ? undefined : row);
+  if (!now) {
+    report("warning", "This box is no longer there: nothing was changed.");
+    return false;
+  }
+  const wrong = change.box ? fault(change.box as unknown as Box) : "";
+  if (wrong) {
+    state.note = { id: row.id, text: wrong };
+    report("warning", wrong, "Nothing was changed.");
+    changed("tool");
+    return false;
+  }
+  if (state.note?.id === row.id) state.note = null;
+  forgetOther(row.id); // an edit is drawn at once
+  const whole: Partial<BoxValue> = { ...(now.state === "accepted" || now.state === "proposed" ? { state: "edited" as const } : {}), ...change };
+  const late = queue.findLast(({ edit }) => "box" in edit && edit.box === row.id);
+  const tracks = tracksOf(now.track, change.track);
+  if (late && late.edit.op === "box.set" && late.sent === 0 && !group && !late.edit.group) {
+    late.change = { ...late.change, ...whole };
+    late.edit.value = { ...late.edit.value, ...whole };
+    late.tracks = [...new Set([...late.tracks, ...tracks])];
+  } else {
+    const edit: BoxSet = { op: "box.set", id: newId(), frame, box: row.id, base: stored(frame, row.id)?.version ?? now.version, value: { ...valueOf(now), ...whole }, group };
+    enqueue({ edit, change: whole, tracks, sent: 0, after: 0 });
+  }
+  redraw(frame);
+  pump();
+  return true;
+}
+
+function enqueue(entry: Waiting): void {
+  withdraw(STEP);
+  queue.push(entry);
+}
+
+const tracksOf = (...tracks: (number | null | undefined)[]): number[] => tracks.filter((track): track is number => track !== null && track !== undefined);
+
+/** Show a box as it is dragged; the edit follows at the end. Null: the drag is over, or given up. */
+export function previewBox(row: BoxRow, box: Box | null): void {
+  const frame = shownFrame();
+  if (box && !finite(box)) return;
+  drag(box ? { frame, id: row.id, box } : null);
+  const shown = box ?? shownRows(frame).find((one) => one.id === row.id)?.box;
+  if (shown && !fault(shown as unknown as Box)) send({ op: "preview", frame, box: row.id, value: shown as number[] });
+}
+
+/**
+ * Add a box to the frame shown, or to the one in which its gesture was made, whatever is shown by now; null where that is not possible.
+ * `fresh`: a new object, whose number is only proposed: the server gives another where an object of the drive has it by now.
+ */
+export function addBox(value: BoxValue, group: string | null = null, at?: number, fresh = false): string | null {
+  const frame = at ?? shownFrame();
+  const wrong = fault(value.box as unknown as Box);
+  if (wrong) report("warning", wrong, "No box was made.");
+  if (wrong || (at === undefined && !mayEdit())) return null;
+  const box = `${frame}:${newId()}`;
+  enqueue({ edit: { op: "box.add", id: newId(), frame, box, value, group, fresh }, tracks: tracksOf(value.track), sent: 0, after: 0 });
+  redraw(frame);
   pump();
   return box;
 }
 
 export function deleteBox(row: BoxRow, group: string | null = null): void {
-  const frame = state.frame;
-  put(frame, rows(frame).filter((one) => one.id !== row.id));
-  queue.push({ op: "box.delete", id: newId(), frame, box: row.id, base: row.version, group });
+  if (!mayEdit()) return;
+  const frame = shownFrame();
+  const base = stored(frame, row.id)?.version ?? 0;
+  enqueue({ edit: { op: "box.delete", id: newId(), frame, box: row.id, base, group }, tracks: tracksOf(row.track), sent: 0, after: 0 });
+  redraw(frame);
   pump();
 }
 
 type Rest<T> = T extends unknown ? Omit<T, "id"> : never;
 
-export function editTrack(edit: Rest<TrackSet | TrackMerge | TrackSplit | TrackInterpolate | TrackPropagate>): void {
-  queue.push({ ...edit, id: newId() } as Edit);
+/** Edit a track through its box in the frame shown; what happens when it is answered. */
+export function editTrack(edit: Rest<TrackEdit>, then?: (taken: boolean) => void): void {
+  if (!mayEdit()) return then?.(false);
+  const id = newId();
+  if (then) settled.set(id, then);
+  const tracks = tracksOf(edit.track, "into" in edit ? edit.into : null, "new_track" in edit ? edit.new_track : null);
+  enqueue({ edit: { ...edit, id } as TrackEdit, tracks, sent: 0, after: 0 });
   pump();
 }
 
-export const undo = (force = false): boolean => send({ op: "undo", id: newId(), scope: "mine", force });
-export const redo = (force = false): boolean => send({ op: "redo", id: newId(), scope: "mine", force });
-
-/** Wait until the box's last edit is acknowledged. */
-export function whenSettled(id: string): Promise<BoxRow | null> {
-  return new Promise((resolve) => settled.set(id, resolve));
+/** Accept the proposals that were counted. */
+export function acceptProposals(rest: Omit<BoxAccept, "op" | "id">): void {
+  if (!mayEdit()) return;
+  enqueue({ edit: { op: "box.accept", id: newId(), ...rest }, tracks: [], sent: 0, after: 0 });
+  pump();
 }
 
-function finished(id: string): Edit | undefined {
-  const at = queue.findIndex((edit) => edit.id === id);
-  sent.delete(id);
-  return at < 0 ? undefined : queue.splice(at, 1)[0];
+/** The version of a box that is stored, as an edit of its track names it. */
+export const versionOf = (row: BoxRow): number => stored(shownFrame(), row.id)?.version ?? row.version;
+
+function step(op: "undo" | "redo", force: boolean): boolean {
+  if (!state.connected) return false;
+  enqueue({ edit: { op, id: newId(), scope: "mine", force }, tracks: [], sent: 0, after: 0 });
+  pump();
+  return true;
 }
 
-/** The edits of the same box that wait behind give the new version as their base. */
-function rebase(edit: Edit, version: number): void {
-  for (const later of queue) if (keyOf(later) === keyOf(edit) && "base" in later) later.base = version;
+export const undo = (force = false): boolean => step("undo", force);
+export const redo = (force = false): boolean => step("redo", force);
+
+/** An edit that was not taken: an undo that waited for it would take back another one. */
+function failed(id: string): Waiting | undefined {
+  const at = queue.findIndex(({ edit }) => edit.id === id);
+  const steps = at < 0 ? [] : queue.slice(at + 1).filter(({ edit }) => isStep(edit));
+  if (steps.length > 0) report("info", "What was to be undone was not taken: nothing else was undone.");
+  for (const { edit } of steps) finished(edit.id, false);
+  return finished(id, false);
+}
+
+function finished(id: string, taken: boolean): Waiting | undefined {
+  const at = queue.findIndex(({ edit }) => edit.id === id);
+  const entry = at < 0 ? undefined : queue.splice(at, 1)[0];
+  const then = settled.get(id);
+  settled.delete(id);
+  if (then) queueMicrotask(() => then(taken));
+  return entry;
+}
+
+const frameOf = (edit: Edit): number => ("frame" in edit ? edit.frame : "first" in edit ? edit.first : -1);
+
+/** The edits that wait behind one of this window's own start from the version that it made, not from what others have made of that. */
+function rebase(frame: number, box: string, version: number): void {
+  for (const { edit } of queue) {
+    if (!("box" in edit) || edit.box !== box || frameOf(edit) !== frame) continue;
+    if ("box_base" in edit) edit.box_base = version; // its base is the track's
+    else if ("base" in edit) edit.base = version;
+  }
+}
+
+function rebaseTrack({ track, version }: TrackRow): void {
+  for (const { edit } of queue) {
+    if (!isTrackEdit(edit)) continue;
+    if (edit.track === track && "base" in edit) edit.base = version;
+    if ("into" in edit && edit.into === track) edit.into_base = version;
+  }
+}
+
+/** The server gave a new object another number than this window thought to be free: what waits behind it concerns that number. */
+function renumber(added: BoxAdd, track: number | null): void {
+  const proposed = added.value.track ?? null;
+  if (!added.fresh || proposed === null || track === null || track === proposed) return;
+  for (const entry of queue) {
+    if (!("box" in entry.edit) || entry.edit.box !== added.box) continue;
+    if ("track" in entry.edit) entry.edit.track = track;
+    entry.tracks = entry.tracks.map((one) => (one === proposed ? track : one));
+  }
 }
 
 onReply("ack", (message: Ack) => {
-  const edit = finished(message.id);
-  state.savedAt = new Date(Number(BigInt(message.saved_ns) / 1_000_000n)).toTimeString().slice(0, 8);
+  const entry = finished(message.id, true);
   state.undo = message.undo;
   state.redo = message.redo;
-  if (edit) {
-    rebase(edit, message.version);
-    const waits = queue.some((later) => keyOf(later) === keyOf(edit));
-    if ("box" in edit && message.row) write(edit.frame, waits ? { ...message.row, ...latest(edit) } : message.row);
-    if ("box" in edit) settled.get(edit.box)?.(message.row);
-    if (edit.op === "track.set") {
-      const track = state.tracks.get(edit.track);
-      if (track) state.tracks.set(edit.track, { ...track, version: message.version });
-    }
+  const edit = entry?.edit;
+  if (edit && "box" in edit) {
+    const frame = frameOf(edit);
+    if (message.row) {
+      if (edit.op === "box.add") renumber(edit, message.row.track);
+      place(frame, message.row);
+      rebase(frame, edit.box, message.version);
+    } else if (edit.op === "box.delete") remove(frame, edit.box, message.version);
+    redraw(frame);
   }
   changed("saved", "tracks");
   pump();
 });
 
-function latest(edit: BoxEdit): Partial<BoxRow> {
-  const row = rows(edit.frame).find((one) => one.id === edit.box);
-  return row ? { box: row.box, class_name: row.class_name, attributes: row.attributes, state: row.state } : {};
-}
-
 onReply("refused", (message) => {
-  const edit = message.id ? finished(message.id) : undefined;
-  if (edit && "box" in edit) {
-    queue = queue.filter((later) => keyOf(later) !== keyOf(edit));
-    send({ op: "frame.open", frame: edit.frame, threshold: 0, sweeps: state.sweeps });
+  const entry = message.id === null ? undefined : queue.find(({ edit }) => edit.id === message.id);
+  if (entry && message.code === "journal") { // the server takes no more: what waits stays here until it is back
+    state.stopped = message.sentence;
+    for (const one of queue) one.sent = 0;
+    beginAnew();
+    refresh();
+    keep();
+    return;
+  }
+  if (entry && message.code === "rate") {
+    Object.assign(entry, { sent: 0, after: performance.now() + RATE_MS });
+    return;
+  }
+  if (entry) {
+    failed(entry.edit.id);
+    const { edit } = entry;
+    if (edit.op === "box.add") for (const later of queue.filter((one) => "box" in one.edit && one.edit.box === edit.box)) finished(later.edit.id, false);
+    if ("box" in edit) {
+      state.note = { id: edit.box, text: message.sentence };
+      redraw(frameOf(edit));
+      changed("tool");
+    }
   }
   report("error", message.sentence, message.mend);
   pump();
 });
 
 onReply("conflict", (message: Conflict) => {
-  const edit = finished(message.id);
-  if (!edit) {
-    report("warning", message.sentence, "", [{ title: "Undo it all the same", act: () => undo(true) }]);
+  const entry = failed(message.id);
+  const edit = entry?.edit;
+  if (!edit) return; // it was answered before: this is what a repeated one gets
+  if (isStep(edit)) {
+    report("warning", message.sentence, "", [{ title: `${edit.op === "undo" ? "Undo" : "Redo"} it all the same`, act: () => void step(edit.op, true) }], STEP);
+    pump();
     return;
   }
-  queue = queue.filter((later) => keyOf(later) !== keyOf(edit));
-  const theirs = (): void => {
-    if ("box" in edit) {
-      if (message.present) write(edit.frame, message.present);
-      else put(edit.frame, rows(edit.frame).filter((row) => row.id !== edit.box));
-    }
-    if (message.track) state.tracks.set(message.track.track, message.track);
-    changed("tracks");
-  };
+  const frame = frameOf(edit);
+  if (edit.op === "box.accept") { // what was counted is no longer what is there
+    if (message.frame !== null && message.present) place(message.frame, message.present);
+    report("warning", `Nothing was accepted: ${message.sentence}.`, "Count the proposals again.");
+    pump();
+    return;
+  }
+  let mineValue = edit.op === "box.set" ? edit.value : null;
+  if ("box" in edit) {
+    const later = isTrackEdit(edit) ? [] : queue.filter((one) => "box" in one.edit && one.edit.box === edit.box && !isTrackEdit(one.edit));
+    queue = queue.filter((one) => !later.includes(one));
+    for (const one of later) if (one.edit.op === "box.set") mineValue = { ...(mineValue ?? one.edit.value), ...(one.change ?? one.edit.value) };
+    if (message.present) place(frame, message.present);
+    else if (message.frame !== null) remove(frame, edit.box, stored(frame, edit.box)?.version ?? 0);
+    redraw(frame);
+  }
+  if (message.track) setTrack(message.track);
+  changed("tracks");
   const mine = (): void => {
-    if ("box" in edit && !message.present && edit.op !== "box.delete") addBox(edit.value, null, edit.frame);
-    else if (message.present && "base" in edit) queue.push({ ...edit, id: newId(), base: message.present.version });
-    else if (message.track && "base" in edit) queue.push({ ...edit, id: newId(), base: message.track.version });
-    if ("box" in edit && message.present && edit.op === "box.set") write(edit.frame, { ...message.present, ...edit.value } as BoxRow);
+    if (edit.op === "box.set" && mineValue && !message.present) addBox(mineValue, null, frame);
+    else if (edit.op === "box.set" && mineValue && message.present) addEditFor(frame, message.present, mineValue);
+    else if (edit.op === "box.delete" && message.present) enqueue({ ...entry!, edit: { ...edit, id: newId(), base: message.present.version }, sent: 0 });
+    else if (message.present && "box_base" in edit) enqueue({ ...entry!, edit: { ...edit, id: newId(), box_base: message.present.version }, sent: 0 });
+    else if (message.track && edit.op === "track.merge" && message.track.track === edit.into) enqueue({ ...entry!, edit: { ...edit, id: newId(), into_base: message.track.version }, sent: 0 });
+    else if (message.track && "base" in edit) enqueue({ ...entry!, edit: { ...edit, id: newId(), base: message.track.version }, sent: 0 });
+    else if (message.present && "base" in edit) enqueue({ ...entry!, edit: { ...edit, id: newId(), base: message.present.version } as Edit, sent: 0 });
+    redraw(frame);
     pump();
   };
-  theirs();
-  report("warning", message.sentence, "", [{ title: "Keep mine", act: mine }, { title: "Keep theirs", act: theirs }]);
+  const where = "box" in edit ? `Frame ${frame + 1}, box ${edit.box}: ` : "";
+  report("warning", where + message.sentence, "", [{ title: "Keep mine", act: mine }, { title: "Keep theirs", act: () => undefined }]);
   pump();
 });
 
@@ -229,21 +436,42 @@ export function hold(on: boolean): void {
   if (!on) late.held.splice(0).forEach(take);
 }
 
+let counted = 0; // the last edit whose tracks are known
+
 function take(message: Changed): void {
   state.undo = message.undo;
   state.redo = message.redo;
-  const mine = finished(message.id);
-  if (mine) keep();
-  for (const { frame, row } of message.rows) if (states.has(frame) || state.shown?.frame.index === frame) write(frame, row);
-  for (const { frame, id } of message.removed) put(frame, rows(frame).filter((row) => row.id !== id));
-  for (const track of message.tracks) setTrack(track);
-  if (message.sentence) report("info", message.sentence);
-  if (message.show !== null) {
+  const mine = finished(message.id, true);
+  for (const { frame, row } of message.rows) {
+    place(frame, row);
+    if (mine && !isStep(mine.edit)) rebase(frame, row.id, message.seq);
+  }
+  for (const { frame, id } of message.removed) remove(frame, id, message.seq);
+  if (mine && "box" in mine.edit) redraw(frameOf(mine.edit));
+  if (message.id === "" && message.drive !== state.drive) { // this window came to another drive
+    state.drive = message.drive;
+    state.tracks = new Map();
+    counted = 0;
+  }
+  if (mine && !isStep(mine.edit)) message.tracks.forEach(rebaseTrack);
+  if (message.drive === state.drive && message.seq >= counted) {
+    for (const track of message.tracks) setTrack(track);
+    counted = message.seq;
+  }
+  if (message.sentence && message.window === state.welcome?.window) report("info", message.sentence);
+  if (mine && isStep(mine.edit)) {
     state.takenBack += 1;
-    if (message.show !== state.frame) show(message.show);
+    if (message.show !== null && message.show !== state.frame) show(message.show); // null: no box was changed by it
   }
   changed("saved", "tracks", "boxes");
   pump();
+}
+
+/** The tracks of a drive, as a welcome has them. */
+export function setTracks(rows: readonly TrackRow[], drive: string, seq: number): void {
+  state.drive = drive;
+  state.tracks = new Map(rows.map((row) => [row.track, row]));
+  counted = seq;
 }
 
 function setTrack(track: TrackRow): void {
@@ -252,15 +480,14 @@ function setTrack(track: TrackRow): void {
 }
 
 onReply("previewed", (message) => {
-  const row = rows(message.frame).find((one) => one.id === message.box);
-  if (row && message.frame === state.frame) write(message.frame, { ...row, box: message.value });
+  if (states.has(message.frame) || message.frame === shownFrame()) draggedByOther(message.frame, message.box, [...message.value]);
 });
 
-/** A track number that no object has. */
-export function freeTrack(): number {
-  let most = 0;
+/** A track number that no object has, as far as this window knows, nor any that is on its way; `addBox` takes it as a proposal. */
+export function freeTrack(...coming: number[]): number {
+  let most = Math.max(0, ...coming);
   for (const track of state.tracks.keys()) most = Math.max(most, track);
   for (const row of state.boxes) most = Math.max(most, row.track ?? 0);
+  for (const { tracks } of queue) most = Math.max(most, ...tracks);
   return most + 1;
 }
-

@@ -3,7 +3,8 @@
 import { report } from "./bar";
 import { h } from "./dom";
 import { show } from "./frames";
-import { newId, onReply, send } from "./socket";
+import { post } from "./post";
+import { newId, onReply } from "./socket";
 import type { Stage } from "./stage";
 import { changed, state } from "./state";
 
@@ -60,7 +61,7 @@ export async function makeFilm(stage: Stage): Promise<void> {
       frames.push(frame);
       if (frame % 5 === 0) report("info", `Film: frame ${frame - first + 1} of ${last - first + 1}`);
     }
-    send({ op: "export", id: newId(), kind: "gif", frames, shots, name: fileName(""), rate_hz: state.rate });
+    post({ op: "export", id: newId(), kind: "gif", frames, shots, name: fileName(""), rate_hz: state.rate });
   } catch (error) {
     report("error", `The film stopped: ${(error as Error).message}.`);
   }
@@ -68,7 +69,7 @@ export async function makeFilm(stage: Stage): Promise<void> {
 }
 
 export function makePage(): void {
-  send({ op: "export", id: newId(), kind: "html", frames: [state.frame], name: fileName("") });
+  post({ op: "export", id: newId(), kind: "html", frames: [state.frame], name: fileName("") });
 }
 
 onReply("job", (message) => {

@@ -1,12 +1,15 @@
 // Which frame is shown: asking for its state, waiting for its layers, looking ahead while playing.
 
 import { report } from "./bar";
+import { cancelGesture } from "./gestures";
 import { load, prefetch, ready, states, tidy } from "./loader";
 import type { FrameState, Layer } from "./protocol";
-import { changed, lookOf, state } from "./state";
+import { shownRows, stand } from "./rows";
+import { changed, lookOf, on, shownFrame, state } from "./state";
 import { onReply, send } from "./socket";
 
 const AHEAD = 3;
+const ANEW_MS = 250; // before a frame is asked for anew whose answer an edit overtook
 let wanted = -1;
 const asked = new Set<number>();
 let whenShown: ((frame: number) => void) | null = null;
@@ -37,11 +40,13 @@ export function show(frame: number): void {
   const count = state.welcome?.frames ?? 0;
   if (count === 0) return;
   wanted = Math.min(count - 1, Math.max(0, frame));
+  if (wanted !== state.frame) cancelGesture();
   if (wanted !== state.frame) state.direction = wanted > state.frame ? 1 : -1;
   state.frame = wanted;
   const ahead = upcoming();
   tidy(new Set([wanted, ...ahead]));
   changed("play");
+  if (states.get(wanted)?.unreadable) states.delete(wanted); // perhaps it can be read by now
   const known = states.get(wanted);
   if (!state.playing) ask(wanted, known || asked.has(wanted) ? "here" : "show");
   else if (!known) ask(wanted, "ahead"); // no checks of frames that fly past
@@ -79,8 +84,10 @@ async function arrive(found: FrameState): Promise<void> {
     for (const result of results)
       if (result.status === "rejected" && (result.reason as Error).name !== "AbortError") report("error", (result.reason as Error).message);
   }
+  if (shownFrame() !== frame) cancelGesture(); // what is dragged goes on where only facts of the frame came anew
   state.shown = found;
-  state.boxes = found.boxes;
+  state.boxes = found.boxes = shownRows(frame);
+  if (found.unreadable) report("error", `Frame ${frame + 1} cannot be read: ${found.unreadable}`);
   changed("frame", "boxes", "selection");
   whenShown?.(frame);
   for (const next of upcoming()) {
@@ -105,9 +112,42 @@ onReply("frame.state", (message) => {
   const frame = message.frame.index;
   asked.delete(frame);
   states.set(frame, message);
+  if (!stand(frame, message.boxes, message.seq)) { // an edit that is known overtook it
+    states.delete(frame);
+    asked.add(frame);
+    setTimeout(() => { asked.delete(frame); ask(frame, frame === wanted ? "show" : "ahead"); }, ANEW_MS);
+    return;
+  }
+  message.boxes = shownRows(frame);
   firstLooks(message);
   if (frame === wanted) void arrive(message);
   else prefetch(frame, neededLayers(message));
 });
 
-onReply("refused", () => asked.clear());
+let counted = "";
+
+/** Boxes that came without their points, of an edit in many frames, are asked for anew where they are shown: once for what they are. */
+on(["frame", "boxes"], () => {
+  const frame = state.shown?.frame.index ?? -1;
+  const uncounted = state.boxes.filter((row) => row.points === null && row.radar_points === null && row.version > 0);
+  const boxes = [frame, ...uncounted.map((row) => `${row.id} ${row.version}`)].join();
+  if (uncounted.length === 0 || boxes === counted || frame !== wanted || state.playing || state.shown!.unreadable) return;
+  counted = boxes;
+  ask(frame);
+});
+
+onReply("refused", (message) => {
+  if (message.id === null) asked.clear();
+});
+
+const SILENCE_MS = 4000;
+let silent = 0;
+
+/** A frame whose state does not come is asked for again. */
+window.setInterval(() => {
+  silent = state.connected && asked.has(wanted) ? silent + 1 : 0;
+  if (silent * 1000 < SILENCE_MS) return;
+  silent = 0;
+  asked.delete(wanted);
+  ask(wanted);
+}, 1000);

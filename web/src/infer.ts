@@ -2,9 +2,10 @@
 
 import { driveEnd } from "./annotate";
 import { report } from "./bar";
-import { h } from "./dom";
+import { counted, h } from "./dom";
 import { refresh } from "./frames";
 import type { Job } from "./protocol";
+import { post } from "./post";
 import { newId, onReply, send } from "./socket";
 import { changed, state } from "./state";
 
@@ -12,8 +13,8 @@ const choice = { detector: "", threshold: 0.1, propose: false };
 
 function start(first: number, last: number): void {
   const detector = choice.detector || state.welcome!.detectors[0]!.name;
-  if (!send({ op: "infer.start", id: newId(), detector, first, last, threshold: choice.threshold, propose: choice.propose }))
-    report("warning", "Not connected: detection starts when the studio is back.");
+  post({ op: "infer.start", id: newId(), detector, first, last, threshold: choice.threshold, propose: choice.propose });
+  if (!state.connected) report("warning", "Not connected: detection starts when the studio is back.");
 }
 
 function jobRow(job: Job): HTMLElement {
@@ -33,7 +34,7 @@ export function refreshInference(): HTMLElement | null {
   const threshold = h("input", { type: "number", min: 0, max: 1, step: 0.05, value: String(choice.threshold), title: "least score kept", onchange: () => (choice.threshold = Number(threshold.value)) });
   const propose = h("input", { type: "checkbox", checked: choice.propose, onchange: () => (choice.propose = propose.checked) });
   return h("div", { id: "infer" },
-    h("h3", {}, "Detect"),
+    h("h2", {}, "Detect"),
     detectors.length > 0 ? h("div", {}, select,
       h("label", {}, "score ≥", threshold),
       state.mode === "annotate" ? h("label", {}, propose, "as proposals") : null,
@@ -57,7 +58,7 @@ function inferred(job: Job): void {
   }
   if (job.state === "failed") report("error", job.message || "The detection failed.");
   if (job.state === "done" || job.state === "cancelled") {
-    report("info", `${job.state === "done" ? "Detected in" : "Stopped after"} ${job.done} of ${job.total} frames.`);
+    report("info", `${job.state === "done" ? "Detected in" : "Stopped after"} ${job.done} of ${counted(job.total, "frame")}.`);
     refresh();
   }
 }

@@ -2,6 +2,7 @@
 
 import table from "./keys.json";
 import { typing } from "./dom";
+import { cancelGesture } from "./gestures";
 import { state } from "./state";
 
 export interface Key {
@@ -14,6 +15,7 @@ export interface Key {
   ctrl?: boolean;
   alt?: boolean;
   scaled?: boolean; // with Shift ten times as far, with Alt a fifth
+  name?: string; // the character that it writes, wherever a keyboard has it
 }
 
 export const KEYS = table as Key[];
@@ -40,9 +42,13 @@ for (const key of KEYS) for (const mode of key.modes) for (const chord of chords
 /** x10 with Shift, x0.2 with Alt. */
 export const step = (event: KeyboardEvent): number => (event.shiftKey && !event.altKey ? 10 : event.altKey && !event.shiftKey ? 0.2 : 1);
 
+/** By the key's place; with Ctrl by its letter, as everywhere else, and by its character where the table names one. */
 export function find(event: KeyboardEvent): Key | undefined {
   const ctrl = event.ctrlKey || event.metaKey;
-  const chord = `${ctrl ? "Ctrl+" : ""}${event.shiftKey ? "Shift+" : ""}${event.altKey ? "Alt+" : ""}${event.code}`;
+  const written = ctrl ? undefined : KEYS.find((key) => key.name === event.key && key.modes.includes(state.mode));
+  if (written) return written;
+  const code = ctrl && /^[a-z]$/i.test(event.key) ? `Key${event.key.toUpperCase()}` : event.code;
+  const chord = `${ctrl ? "Ctrl+" : ""}${event.shiftKey ? "Shift+" : ""}${event.altKey ? "Alt+" : ""}${code}`;
   return byChord.get(`${state.mode} ${chord}`);
 }
 
@@ -50,9 +56,27 @@ export function run(id: string, event: KeyboardEvent = new KeyboardEvent("keydow
   actions.get(id)?.(event);
 }
 
+let tabbed = false; // Tab moved the focus: the control that has it keeps the keys that work it
+window.addEventListener("pointerdown", () => (tabbed = false), true);
+
+/** Whether a key works the control that Tab went to: then it is not the page's. */
+function works(target: EventTarget | null, event: KeyboardEvent): boolean {
+  if (!tabbed || !(target instanceof HTMLElement) || event.ctrlKey || event.metaKey || event.altKey) return false;
+  if (target instanceof HTMLInputElement && target.type === "range") return /^(Arrow|Page|Home|End)/.test(event.code);
+  if (event.code !== "Enter" && event.code !== "Space") return false;
+  if (target.matches("[role=button], tr")) event.preventDefault(), target.click();
+  return target.matches("button, summary, a[href], input, [role=button], tr");
+}
+
 export function listen(): void {
   window.addEventListener("keydown", (event) => {
+    if (event.key === "Tab") tabbed = true;
     const key = find(event);
+    if (document.querySelector("dialog[open]")) { // what lies behind it waits
+      if (key?.id === "help" || key?.id === "cancel") event.preventDefault(), actions.get("help")?.(event);
+      return;
+    }
+    if (works(event.target, event)) return;
     if (typing(event.target)) {
       if (key?.id === "cancel") (event.target as HTMLElement).blur();
       if (key?.id !== "save") return;
@@ -60,13 +84,14 @@ export function listen(): void {
     const action = key && actions.get(key.id);
     if (!action) return;
     event.preventDefault();
-    if (event.target instanceof HTMLButtonElement || event.target instanceof HTMLInputElement) event.target.blur();
+    if (cancelGesture() && key.id === "cancel") return; // a gesture is given up whole, before anything else happens
+    if (!tabbed && (event.target instanceof HTMLButtonElement || event.target instanceof HTMLInputElement)) event.target.blur();
     action(event);
   });
 }
 
 const NAMES: Record<string, string> = {
-  ArrowLeft: "←", ArrowRight: "→", BracketLeft: "[", BracketRight: "]", Semicolon: ";", Quote: "'", Comma: ",", Period: ".", Backslash: "\\", Backquote: "`", Slash: "/", Escape: "Esc",
+  ArrowLeft: "←", ArrowRight: "→", BracketLeft: "[", BracketRight: "]", Semicolon: ";", Quote: "'", Comma: ",", Period: ".", Backslash: "\\", Backquote: "`", Slash: "/", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc",
 };
 
 let layout = new Map<string, string>();
@@ -78,7 +103,8 @@ export async function readLayout(): Promise<void> {
 }
 
 export function nameOf(key: Key): string {
-  const plain = layout.get(key.code)?.toUpperCase() ?? NAMES[key.code] ?? key.code.replace(/^(Key|Digit)/, "");
+  if (key.name) return key.name;
+  const plain = (key.ctrl ? undefined : layout.get(key.code))?.toUpperCase() ?? NAMES[key.code] ?? key.code.replace(/^(Key|Digit)/, "");
   return `${key.ctrl ? "Ctrl+" : ""}${key.shift ? "Shift+" : ""}${key.alt ? "Alt+" : ""}${plain}`;
 }
 

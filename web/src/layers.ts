@@ -10,16 +10,16 @@ import type { Stage } from "./stage";
 import { changed, lookOf, on, state } from "./state";
 import { COLOUR_TITLES, COLOUR_UNITS, colours, setColour } from "./viewing";
 
-const heading = (text: string): HTMLElement => h("h3", {}, text);
+const heading = (text: string): HTMLElement => h("h2", {}, text);
 
 function check(title: Child, value: boolean, set: (value: boolean) => void, name = ""): HTMLElement {
-  const box = h("input", { type: "checkbox", checked: value, onchange: () => set(box.checked), name });
+  const box = h("input", { type: "checkbox", checked: value, onchange: () => set(box.checked), name: name || (typeof title === "string" ? title : "") });
   return h("label", {}, box, title);
 }
 
 function slider(title: string, value: number, low: number, high: number, step: number, set: (value: number) => void, show: (value: number) => string, name = ""): HTMLElement {
   const out = h("output", {}, show(value));
-  const input = h("input", { type: "range", min: low, max: high, step, value, name, oninput: () => { out.textContent = show(Number(input.value)); set(Number(input.value)); } });
+  const input = h("input", { type: "range", min: low, max: high, step, value, name: name || title, oninput: () => { out.textContent = show(Number(input.value)); set(Number(input.value)); } });
   input.value = String(value);
   return h("label", { class: "pair" }, title, input, out);
 }
@@ -32,14 +32,14 @@ function count(stage: Stage, layer: Layer): string {
 function layerRow(stage: Stage, layer: Layer): HTMLElement {
   const look = lookOf(layer.name, layer.kind);
   const box = h("input", { type: "checkbox", checked: look.visible, name: `layer ${layer.name}`, onchange: () => { look.visible = box.checked; changed("looks"); if (box.checked) show(state.frame); } });
-  const fade = h("input", { type: "range", min: 0.1, max: 1, step: 0.05, value: look.opacity, title: "opacity", oninput: () => { look.opacity = Number(fade.value); changed("looks"); } });
+  const fade = h("input", { type: "range", min: 0.1, max: 1, step: 0.05, value: look.opacity, title: "opacity", "aria-label": `opacity of ${layer.title}`, oninput: () => { look.opacity = Number(fade.value); changed("looks"); } });
   fade.value = String(look.opacity);
   const sides = ["both", "left", "right"];
   const side = h("button", { class: "quiet", title: "which pane", onclick: () => { look.side = ((look.side + 1) % 3) as 0 | 1 | 2; changed("looks"); } }, sides[look.side]!);
   const lag = layer.lag_ms ? `, ${layer.lag_ms > 0 ? "+" : ""}${layer.lag_ms.toFixed(0)} ms` : "";
   const title = `${layer.title}${layer.placed ? "" : ": place not known, drawn in its own axes"}${lag}`;
   return h("div", { class: "layer", title },
-    box, h("span", { class: "name" }, layer.title), h("span", { class: "weak" }, count(stage, layer)),
+    h("label", { class: "name" }, box, h("span", {}, layer.title)), h("span", { class: "weak" }, count(stage, layer)),
     layer.kind === "image" ? null : fade, state.sideBySide && layer.kind !== "image" ? side : null);
 }
 

@@ -98,10 +98,4 @@ export function tidy(wanted: Set<number>): void {
   for (const frame of states.keys()) if (!kept.has(frame) && !wanted.has(frame)) states.delete(frame);
 }
 
-/** Forget a frame's state, so that it is asked for anew. */
-export function forget(frame?: number): void {
-  if (frame === undefined) states.clear();
-  else states.delete(frame);
-}
-
 export const cached = (): number => entries.size;

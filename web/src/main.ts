@@ -6,21 +6,26 @@ import { report } from "./bar";
 import { camerasPanel } from "./cameras";
 import { CloseUps } from "./closeups";
 import type { PointSet } from "./cloud";
-import { byId, fill, h } from "./dom";
-import { open } from "./edits";
+import { byId, counted, fill, h } from "./dom";
+import { open, setTracks } from "./edits";
+import { findingsPanel } from "./findings";
 import { neededLayers, onShown, refresh, show } from "./frames";
 import { header } from "./header";
-import { bindHelp, close } from "./help";
+import { bindHelp } from "./help";
 import { inspectorPanel } from "./inspector";
 import { bind, listen, readLayout } from "./keys";
+import { closeWork, labelsMenu } from "./labels";
 import { layersPanel } from "./layers";
 import { hold, ready, states } from "./loader";
 import { objectsPanel } from "./objects";
+import { proposalsPanel } from "./proposals";
+import { bindWholeTracks, stopMerging } from "./tracks";
 import { drawPane, strokeBox } from "./overlay";
 import { stageGround } from "./picking";
 import { listenToMain } from "./pointer";
 import { Projector } from "./project";
 import type { FrameState, Welcome } from "./protocol";
+import { stand } from "./rows";
 import { slicesPanel } from "./slices";
 import { connect, onReply } from "./socket";
 import { Stage } from "./stage";
@@ -30,14 +35,14 @@ import { offerTest } from "./testhook";
 import { timeline } from "./timeline";
 import { timeBoxes } from "./timing";
 import { bindViewing, hint, lookAt } from "./viewing";
-import { acceptAll, openWall, wallOpen, wallPanel } from "./wall";
+import { acceptAll, closeWall, openWall, wallOpen, wallPanel } from "./wall";
 import type { Payload } from "./wire";
 
 function overlay(stage: Stage, closeUps: CloseUps): void {
   const paper = stage.lines.getContext("2d")!;
   paper.clearRect(0, 0, window.innerWidth, window.innerHeight);
   const ground = stageGround(stage);
-  for (const pane of stage.panes()) {
+  for (const pane of stage.covered() ? [] : stage.panes()) {
     const view = new Projector(pane.camera, pane.rect);
     drawPane(paper, pane.rect, view, pane.index, ground);
     if (sketch.points.length > 1) drawSketch(paper, view);
@@ -65,7 +70,7 @@ function corner(stage: Stage): void {
   const element = byId("corner");
   element.style.left = `${main.x + 8}px`;
   element.style.top = `${main.y + 6}px`;
-  fill(element, `${points.toLocaleString("en")} points${whole ? "" : " while moving"}${stage.eye.top ? " · from above" : ""}${state.onlySelection ? " · selection only" : ""}`);
+  fill(element, `${counted(points, "point")}${whole ? "" : " while moving"}${stage.eye.top ? " · from above" : ""}${state.onlySelection ? " · selection only" : ""}`);
 }
 
 function drawFrame(stage: Stage): void {
@@ -78,36 +83,46 @@ function drawFrame(stage: Stage): void {
     else if (data && layer.kind === "bev") radar.push({ layer, payload: data as Payload });
   }
   stage.setFrame(found.frame.index, points, radar);
-  if (state.follow) follow(stage);
 }
 
 function follow(stage: Stage): void {
-  const row = selected();
-  if (row) stage.eye.target = [row.box[0]!, row.box[1]!, row.box[2]!];
+  const row = state.follow ? selected() : null;
+  if (!row) return;
+  stage.eye.target = [row.box[0]!, row.box[1]!, row.box[2]!];
+  stage.request("main");
 }
 
 function welcomed(message: Welcome): void {
   const again = state.welcome !== null;
   Object.assign(state, {
     welcome: message, predictions: message.predictions, bookmarks: message.bookmarks, windows: message.windows, undo: message.undo, redo: message.redo,
-    tracks: new Map(message.tracks.map((row) => [row.track, row])), everConnected: true,
+    everConnected: true, labels: message.written,
   });
+  setTracks(message.tracks, message.drive, message.journal_seq);
   if (!again) {
     state.mode = message.mode;
     state.chosenClass = message.classes[0]?.name ?? "";
     const asked = new URL(location.href).searchParams.get("frame");
-    state.frame = asked === null ? message.first : Number(asked);
+    state.frame = asked !== null && Number.isInteger(Number(asked)) ? Number(asked) : message.first;
   }
-  void open(message.data);
+  void open(message.data, message.store);
   changed("welcome", "tool", "connection", "tracks", "bookmarks");
   if (message.frames === 0) fill(byId("main"), h("div", { class: "empty-state" }, "This data set has no frames. Open another folder: farfield view PATH"));
   else if (again) refresh();
   else show(state.frame);
 }
 
+/** What stands in the place of a picture where the frame cannot be read. */
+function unreadable(): void {
+  const reason = state.shown?.unreadable ?? "";
+  byId("main").querySelector(".unreadable")?.remove();
+  if (reason) byId("main").append(h("div", { class: "empty-state unreadable" }, `Frame ${state.shown!.frame.index + 1} cannot be read: ${reason}`));
+}
+
 function cancelled(): boolean {
-  if (!wallOpen()) return false;
-  close();
+  if (closeWork()) return true;
+  if (!wallOpen()) return stopMerging();
+  closeWall();
   return true;
 }
 
@@ -118,9 +133,12 @@ function start(): void {
   stage.overlay = () => overlay(stage, closeUps);
   onShown(() => drawFrame(stage));
   header(stage);
+  labelsMenu();
   layersPanel(stage);
   objectsPanel(stage);
+  findingsPanel(stage);
   inspectorPanel();
+  proposalsPanel();
   camerasPanel(stage);
   slicesPanel();
   timeline();
@@ -128,8 +146,9 @@ function start(): void {
   timeBoxes();
   bindViewing(stage);
   bindAnnotation(stage);
+  bindWholeTracks();
   bindHelp(cancelled);
-  bind("wall", () => (wallOpen() ? close() : openWall()));
+  bind("wall", () => (wallOpen() ? closeWall() : openWall()));
   bind("view.frame", () => (wallOpen() ? acceptAll() : lookAt(stage)));
   listenToMain(stage, () => drawGesture(stage));
   byId("main").addEventListener("dblclick", () => {
@@ -140,6 +159,8 @@ function start(): void {
   on("looks", () => { stage.applyLooks(); stage.request("all"); });
   on("filters", () => { stage.applyLooks(); stage.request("main"); });
   on("tool", hint);
+  on("frame", unreadable);
+  on("frame", () => follow(stage));
   const noted = new Set<string>();
   on("frame", () => {
     for (const note of state.shown?.notes ?? []) if (!noted.has(note)) noted.add(note), report("info", note);
@@ -161,7 +182,10 @@ function fromFile(welcome: Welcome, frames: FrameState[], payloads: Record<strin
   hold(payloads);
   document.body.classList.add("file");
   welcomed({ ...welcome, mode: "view" });
-  for (const found of frames) states.set(found.frame.index, found);
+  for (const found of frames) {
+    states.set(found.frame.index, found);
+    stand(found.frame.index, found.boxes, found.seq);
+  }
   show(frames[0]?.frame.index ?? 0);
 }
 

@@ -2,6 +2,7 @@
 
 import type { Vec3 } from "./boxes";
 import { byId } from "./dom";
+import { begin, cancelGesture, end } from "./gestures";
 import { groundUnder, pickBox } from "./picking";
 import { Projector } from "./project";
 import type { Pane, Stage } from "./stage";
@@ -12,6 +13,8 @@ export interface Gesture {
   down(at: Vec3, event: PointerEvent, view: Projector): boolean;
   move(at: Vec3, event: PointerEvent): void;
   up(at: Vec3 | null, event: PointerEvent): void;
+  /** It is given up: nothing of it may remain. */
+  cancel(): void;
 }
 
 const CLICK_PX = 4;
@@ -21,15 +24,17 @@ export const pointer = { x: 0, y: 0, over: false };
 
 export function listenToMain(stage: Stage, gesture: () => Gesture | null): void {
   const main = byId("main");
-  let drag: { x: number; y: number; button: number; moved: number; pane: Pane; gesture: Gesture | null } | null = null;
+  let drag: { x: number; y: number; button: number; moved: number; pane: Pane; gesture: Gesture | null; pointer: number } | null = null;
 
   main.addEventListener("pointerdown", (event) => {
+    if (drag) return; // one pointer draws, or moves the view
     const pane = stage.paneAt(event.clientX);
     const view = new Projector(pane.camera, pane.rect);
     const wanted = event.button === 0 ? gesture() : null;
     const at = wanted ? groundUnder(stage, view, pane.index, event.clientX, event.clientY) : null;
     const taken = wanted !== null && at !== null && wanted.down(at, event, view);
-    drag = { x: event.clientX, y: event.clientY, button: event.button, moved: 0, pane, gesture: taken ? wanted : null };
+    drag = { x: event.clientX, y: event.clientY, button: event.button, moved: 0, pane, gesture: taken ? wanted : null, pointer: event.pointerId };
+    if (taken) begin(() => { drag = null; wanted.cancel(); });
     main.setPointerCapture(event.pointerId);
     event.preventDefault();
     if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
@@ -37,7 +42,7 @@ export function listenToMain(stage: Stage, gesture: () => Gesture | null): void 
 
   main.addEventListener("pointermove", (event) => {
     Object.assign(pointer, { x: event.clientX, y: event.clientY, over: true });
-    if (!drag) return;
+    if (drag?.pointer !== event.pointerId) return;
     const [dx, dy] = [event.clientX - drag.x, event.clientY - drag.y];
     if (drag.gesture) {
       const view = new Projector(drag.pane.camera, drag.pane.rect);
@@ -56,14 +61,16 @@ export function listenToMain(stage: Stage, gesture: () => Gesture | null): void 
 
   main.addEventListener("pointerup", (event) => {
     const was = drag;
+    if (was?.pointer !== event.pointerId) return;
     drag = null;
-    if (!was) return;
+    if (was.gesture) end();
     const view = new Projector(was.pane.camera, was.pane.rect);
     if (was.gesture) was.gesture.up(view.ground(event.clientX, event.clientY, dragLevel), event);
     else if (was.moved < CLICK_PX && was.button === 0) clicked(stage, view, was.pane, event);
   });
 
-  main.addEventListener("pointercancel", () => (drag = null));
+  for (const lost of ["pointercancel", "lostpointercapture"] as const)
+    main.addEventListener(lost, (event) => { if (drag?.pointer === event.pointerId) cancelGesture(), (drag = null); });
   main.addEventListener("pointerleave", () => (pointer.over = false));
   main.addEventListener("contextmenu", (event) => event.preventDefault());
   main.addEventListener("wheel", (event) => {

@@ -1,7 +1,7 @@
 // Made by `python tools/page_protocol.py`; do not edit. Metres, radians; int64 nanoseconds are strings.
 
 /** Of these messages; the server sends pages of another version away. */
-export const VERSION = 1;
+export const VERSION = 3;
 
 /** First message of a window. */
 export interface Hello {
@@ -26,7 +26,7 @@ export interface BoxValue {
   class_name: string;
   track?: number | null;
   state?: "proposed" | "edited" | "accepted" | "rejected";
-  source?: "lidar" | "radar" | "camera" | "interpolated" | "propagated" | "detector";
+  source?: "lidar" | "radar" | "camera" | "interpolated" | "propagated" | "predicted" | "detector";
   attributes?: Record<string, string | number | boolean | null>;
 }
 
@@ -41,7 +41,7 @@ export interface BoxSet {
   group?: string | null;
 }
 
-/** Add a box under an identity that the page makes up. */
+/** Add a box under an identity that the page makes up. ``fresh``: its track is to be a new object's; where the drive has one of this number by now, the box gets another. */
 export interface BoxAdd {
   op: "box.add";
   id: string;
@@ -49,6 +49,7 @@ export interface BoxAdd {
   box: string;
   value: BoxValue;
   group?: string | null;
+  fresh?: boolean;
 }
 
 /** Remove a box. */
@@ -61,29 +62,47 @@ export interface BoxDelete {
   group?: string | null;
 }
 
-/** Set what holds for a track: class, locked size, last frame. ``ends`` -1: no end. None leaves as it is. */
+/** Accept all proposals of ``score`` or more from frame ``first`` to ``last``, in the drive of ``frame``. ``count`` and ``base`` are those of the answer to proposals.count: what was told of is accepted, nothing else. */
+export interface BoxAccept {
+  op: "box.accept";
+  id: string;
+  frame: number;
+  first: number;
+  last: number;
+  score: number;
+  count: number;
+  base: number;
+}
+
+/** Set what holds for a track of a frame's drive: class, locked size, last frame. ``ends`` -1: no end. None leaves as it is. ``box``, of version ``box_base``, is that of the track that was shown in the frame. */
 export interface TrackSet {
   op: "track.set";
   id: string;
+  frame: number;
   track: number;
   base: number;
   class_name?: string | null;
   size_locked?: boolean | null;
   size?: number[] | null;
   ends?: number | null;
+  box: string;
+  box_base: number;
 }
 
-/** Make one track a part of another. */
+/** Make one track of a frame's drive a part of another. ``box``, of version ``box_base``: shown in the frame. */
 export interface TrackMerge {
   op: "track.merge";
   id: string;
+  frame: number;
   track: number;
   into: number;
   base: number;
   into_base: number;
+  box: string;
+  box_base: number;
 }
 
-/** Give the boxes of a track from a frame on a new number. */
+/** Give the boxes of a track from a frame on a new number. ``box``, of version ``box_base``: shown in the frame. */
 export interface TrackSplit {
   op: "track.split";
   id: string;
@@ -91,21 +110,28 @@ export interface TrackSplit {
   frame: number;
   new_track: number;
   base: number;
+  box: string;
+  box_base: number;
 }
 
-/** Fill the frames between keyframes, from ``first`` to ``last``. */
+/** Fill the frames between keyframes, from ``first`` to ``last``. ``box`` is that of the track in the ``frame`` that was shown, ``base`` its version there. */
 export interface TrackInterpolate {
   op: "track.interpolate";
   id: string;
+  frame: number;
+  box: string;
+  base: number;
   track: number;
   first: number;
   last: number;
 }
 
-/** Carry a track on by its motion, from frame ``first`` to ``last`` (backwards if it is smaller). */
+/** Carry a track on by its motion, from frame ``first`` to ``last`` (backwards if it is smaller). ``box`` is that of the track in ``first``, ``base`` its version that was shown. To the next frame it always comes: where its points do not decide, its motion does, and the box's source is ``predicted``. */
 export interface TrackPropagate {
   op: "track.propagate";
   id: string;
+  box: string;
+  base: number;
   track: number;
   first: number;
   last: number;
@@ -150,10 +176,18 @@ export interface Redo {
   force?: boolean;
 }
 
-/** Ask for the checks of a frame; of all frames if None. */
+/** Ask how many proposals of a score or more a frame and its drive have; answered by proposals. */
+export interface ProposalsCount {
+  op: "proposals.count";
+  id: string;
+  frame: number;
+  score: number;
+}
+
+/** Ask for the findings of the whole drive of a frame, and to be told from then on what changes of them. */
 export interface CheckList {
   op: "check.list";
-  frame?: number | null;
+  frame: number;
 }
 
 /** Let a finding stand, with a reason; an empty reason brings it back. */
@@ -190,7 +224,16 @@ export interface BookmarkSet {
   note?: string | null;
 }
 
-/** Write the label files now. ``folder``: a name beside the data set's other saves; None: where saves go. */
+/** Choose where labels are written to and in which format, for all windows, and whether also when the studio ends. ``format`` empty: their own; ``folder``: a name beside the data set's other saves; None: where saves go. */
+export interface SaveChoose {
+  op: "save.choose";
+  id: string;
+  format?: string;
+  folder?: string | null;
+  at_exit?: boolean;
+}
+
+/** Write the label files now, as :class:`SaveChoose` has it where neither format nor folder is given. */
 export interface Save {
   op: "save";
   id: string;
@@ -342,7 +385,7 @@ export interface TypeSpec {
   size: number[];
 }
 
-/** A class: its preset size and its colour (``#rrggbb``); ``types`` are finer sizes, such as a van. */
+/** A class: its preset size, where that is from, its colour (``#rrggbb``); ``types`` are finer sizes, as of vans. */
 export interface ClassSpec {
   name: string;
   title: string;
@@ -351,6 +394,7 @@ export interface ClassSpec {
   key: string;
   group: "vehicle" | "person" | "two_wheeler" | "other";
   types: TypeSpec[];
+  source: string;
 }
 
 /** Boxes of a detector or a tracker, from a file or made here. */
@@ -391,6 +435,22 @@ export interface TrackRow {
   ends: number | null;
 }
 
+/** What the label files hold of the journal, and where, in which format and when the next save writes. */
+export interface LabelState {
+  op: "labels";
+  answers: string;
+  unwritten: number;
+  written_ns: string | null;
+  folder: string;
+  format: string;
+  left: number;
+  next_folder: string;
+  next_format: string;
+  name: string | null;
+  itself: boolean;
+  at_exit: boolean;
+}
+
 /** Answer to hello: what is open. */
 export interface Welcome {
   op: "welcome";
@@ -398,6 +458,7 @@ export interface Welcome {
   farfield: string;
   mode: "view" | "annotate" | "calibrate";
   data: string;
+  store: string;
   title: string;
   frames: number;
   drives: DriveRow[];
@@ -415,7 +476,8 @@ export interface Welcome {
   extent: "full" | "visible" | null;
   first: number;
   formats: string[];
-  saves_to: string;
+  written: LabelState | null;
+  drive: string;
   undo: boolean;
   redo: boolean;
 }
@@ -478,7 +540,7 @@ export interface Layer {
   file: string;
 }
 
-/** A box of a frame as it stands. ``version`` is what an edit gives as its ``base``. */
+/** A box of a frame as it stands. No other of the data set has its ``id``; an edit gives ``version`` as ``base``. */
 export interface BoxRow {
   id: string;
   track: number | null;
@@ -486,7 +548,7 @@ export interface BoxRow {
   box: number[];
   version: number;
   state: "proposed" | "edited" | "accepted" | "rejected";
-  source: "lidar" | "radar" | "camera" | "interpolated" | "propagated" | "detector";
+  source: "lidar" | "radar" | "camera" | "interpolated" | "propagated" | "predicted" | "detector";
   attributes: Record<string, string | number | boolean | null>;
   score: number | null;
   points: number | null;
@@ -526,7 +588,7 @@ export interface Trail {
   points: number[][];
 }
 
-/** A frame as it stands: boxes, layers, predictions with their matching, trails. */
+/** A frame as it stands: boxes, layers, predictions with their matching, trails. ``seq`` is the number of the last edit that it holds for sure. */
 export interface FrameState {
   op: "frame.state";
   frame: FrameInfo;
@@ -535,6 +597,8 @@ export interface FrameState {
   predicted: PredictedFrame[];
   trails: Trail[];
   notes: string[];
+  unreadable: string;
+  seq: number;
 }
 
 /** What a set predicts in a frame, where it became known after the frame was opened. */
@@ -555,6 +619,7 @@ export interface Ack {
   row: BoxRow | null;
   undo: boolean;
   redo: boolean;
+  unwritten: number;
 }
 
 /** An edit came too late: somebody changed the box since ``base``. Nothing was changed. */
@@ -589,7 +654,7 @@ export interface RemovedRow {
   id: string;
 }
 
-/** Boxes and tracks as they now stand, after an edit of another window, of a tool, or an undo (sent to all). */
+/** Boxes and tracks as they now stand, after an edit of another window, of a tool, or an undo (sent to all). Its own window gets it before the ack. ``drive`` is that of the tracks. */
 export interface Changed {
   op: "changed";
   seq: number;
@@ -599,10 +664,12 @@ export interface Changed {
   rows: PlacedRow[];
   removed: RemovedRow[];
   tracks: TrackRow[];
+  drive: string;
   show: number | null;
   sentence: string;
   undo: boolean;
   redo: boolean;
+  unwritten: number;
 }
 
 /** A box that somebody else is dragging. */
@@ -633,6 +700,20 @@ export interface Fitted {
   source: "lidar" | "radar";
 }
 
+/** How many proposals of a score or more there are: ``seq`` is the ``base``, the counts are those of box.accept. */
+export interface Proposals {
+  op: "proposals";
+  id: string;
+  frame: number;
+  score: number;
+  seq: number;
+  here: number;
+  count: number;
+  frames: number;
+  first: number;
+  last: number;
+}
+
 /** Something that a check found. ``id`` stays the same as long as the finding does. */
 export interface CheckRow {
   id: string;
@@ -643,13 +724,24 @@ export interface CheckRow {
   severity: "info" | "warning" | "error";
   sentence: string;
   ignored: string | null;
+  at: number[] | null;
 }
 
-/** Findings of a frame, or of all frames (``frame`` None). */
+/** Findings of a frame that is shown. */
 export interface Checks {
   op: "checks";
-  frame: number | null;
+  frame: number;
   rows: CheckRow[];
+}
+
+/** Findings of some frames of a drive, in place of what was known of these; for windows that asked by check.list. They come in parts, while the drive is checked and after each edit. ``drive`` is empty for frames of none. */
+export interface DriveChecks {
+  op: "drive.checks";
+  drive: string;
+  frames: number[];
+  rows: CheckRow[];
+  done: number;
+  total: number;
 }
 
 /** How many annotated boxes of a frame a set misses, and how many of its boxes have no truth. */
@@ -686,9 +778,17 @@ export interface Job {
 export interface Bookmarks {
   op: "bookmarks";
   rows: Bookmark[];
+  answers: string;
 }
 
-/** Label files were written. */
+/** A box that its label file cannot hold, and why; ``box`` None where it is the file as a whole. */
+export interface UnwrittenRow {
+  frame: number;
+  box: string | null;
+  sentence: string;
+}
+
+/** Label files were written; ``unwritten`` boxes stay in the journal only, with what their files held before. */
 export interface Saved {
   op: "saved";
   id: string;
@@ -697,6 +797,7 @@ export interface Saved {
   saved_ns: string;
   folder: string;
   sentence: string;
+  unwritten: UnwrittenRow[];
 }
 
 /** How many windows are open, and who else is there. */
@@ -851,6 +952,7 @@ export type Request =
   | BoxSet
   | BoxAdd
   | BoxDelete
+  | BoxAccept
   | TrackSet
   | TrackMerge
   | TrackSplit
@@ -860,11 +962,13 @@ export type Request =
   | Fit
   | Undo
   | Redo
+  | ProposalsCount
   | CheckList
   | CheckIgnore
   | InferStart
   | InferCancel
   | BookmarkSet
+  | SaveChoose
   | Save
   | Export
   | PolicySet
@@ -883,6 +987,7 @@ export type Request =
 
 export type Reply =
   | Welcome
+  | LabelState
   | FrameState
   | Predicted
   | Ack
@@ -891,7 +996,9 @@ export type Reply =
   | Changed
   | Previewed
   | Fitted
+  | Proposals
   | Checks
+  | DriveChecks
   | Matches
   | Job
   | Bookmarks

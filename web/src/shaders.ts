@@ -67,3 +67,27 @@ void main() {
   float t = clamp((texture(u_power, at).r - u_window.x) / max(u_window.y - u_window.x, 1e-6), 0.0, 1.0);
   colour = vec4(texture(u_table, vec2(t * 255.0 / 256.0 + 0.5 / 256.0, u_row)).rgb, u_opacity * (0.25 + 0.75 * t));
 }`;
+
+/** A slice of the radar's power; where there is no cell nothing is drawn. */
+export const SLICE_VERTEX = /* glsl */ `
+out vec2 v_at;
+void main() {
+  v_at = uv;
+  gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+}`;
+
+export const SLICE_FRAGMENT = /* glsl */ `
+precision highp float;
+in vec2 v_at;
+uniform sampler2D u_power;
+uniform sampler2D u_table;
+uniform vec2 u_window;
+uniform float u_row;
+uniform float u_opacity;
+out vec4 colour;
+void main() {
+  float power = texture(u_power, v_at).r;
+  if (power <= 0.002) discard;
+  float t = clamp((power - u_window.x) / max(u_window.y - u_window.x, 1e-6), 0.0, 1.0);
+  colour = vec4(texture(u_table, vec2(t * 255.0 / 256.0 + 0.5 / 256.0, u_row)).rgb, u_opacity);
+}`;

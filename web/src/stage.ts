@@ -1,7 +1,7 @@
 // One canvas, one WebGL context, views by scissor, drawn when something changed. While anything moves only the first
 // points of the shuffle are drawn (software GL is vertex bound); the whole cloud follows 120 ms after the last input.
 
-import { Matrix4, Scene, WebGLRenderer, type Camera } from "three";
+import { Matrix4, Scene, WebGLRenderer, type Camera, type Mesh } from "three";
 import { report } from "./bar";
 import { CloudObject, type Look, type PointSet } from "./cloud";
 import { PATTERN_COLOURS } from "./colours";
@@ -9,7 +9,7 @@ import { byId } from "./dom";
 import { Eye, type Rect } from "./eye";
 import type { Layer } from "./protocol";
 import { RadarMap } from "./radarmap";
-import { lookOf, state } from "./state";
+import { changed, lookOf, state } from "./state";
 import type { Payload } from "./wire";
 
 export interface Pane {
@@ -18,11 +18,13 @@ export interface Pane {
   camera: Camera;
 }
 
-/** A small view of some points, drawn by the close-ups and the wall. */
+/** A small view of some points, drawn by the close-ups. */
 export interface SmallView {
   rect: Rect;
+  seen: Rect; // what of it is on the screen
   camera: Camera;
   clouds: CloudObject[];
+  under: Mesh | null; // what is drawn before the points
 }
 
 const NO_POINTS: PointSet = { count: 0, places: new Int16Array(4), scale: 1, offset: [0, 0, 0], values: new Map() };
@@ -41,11 +43,14 @@ export class Stage {
   clouds = new Map<string, { layer: Layer; object: CloudObject }>();
   maps = new Map<string, { layer: Layer; object: RadarMap }>();
   smallViews: () => SmallView[] = () => [];
+  /** Whether the close-ups lie over the main view. */
+  covered: () => boolean = () => false;
   overlay: (what: { main: boolean; close: boolean }) => void = () => undefined;
   drawn = { frame: -1, points: 0, whole: true, ms: 0, count: 0 };
   private frame = -1;
   private readonly scene = new Scene();
   private readonly crop = new Scene();
+  private readonly empty = new Scene();
   private dirty = { main: true, close: true, lines: true };
   private scheduled = 0;
   private settle = 0;
@@ -57,14 +62,13 @@ export class Stage {
     this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: false, preserveDrawingBuffer: true, powerPreference: "high-performance" });
     this.renderer.autoClear = false;
     this.renderer.debug.checkShaderErrors = false;
-    this.renderer.setScissorTest(true);
-    this.renderer.setClearColor(BACKGROUND, 1);
+    this.begin();
     this.software = /swiftshader|llvmpipe|softpipe|software/i.test(this.rendererName());
     this.canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       report("warning", "The graphics driver dropped the page's picture.", "It is drawn again as soon as the driver is back.");
     });
-    this.canvas.addEventListener("webglcontextrestored", () => this.request("all"));
+    this.canvas.addEventListener("webglcontextrestored", () => { this.begin(); this.request("all"); });
     window.addEventListener("pointerdown", () => (this.held = true), true);
     for (const end of ["pointerup", "pointercancel"])
       window.addEventListener(end, () => {
@@ -75,6 +79,12 @@ export class Stage {
     new ResizeObserver(() => this.request("all")).observe(byId("main"));
     this.scene.add(new CloudObject(NO_POINTS).points); // keeps the compiled program when a frame's clouds go
     this.resize();
+  }
+
+  /** What a context does not keep when it is lost: without scissors every view would clear all others. */
+  private begin(): void {
+    this.renderer.setScissorTest(true);
+    this.renderer.setClearColor(BACKGROUND, 1);
   }
 
   private rendererName(): string {
@@ -185,19 +195,18 @@ export class Stage {
     for (const [name, { object }] of this.maps) object.show(lookOf(name, "bev").opacity);
   }
 
-  look(name: string, layer: Layer, row: number): Look {
+  look(name: string, layer: Layer, row: number, set = this.clouds.get(name)?.object.set): Look {
     const radar = layer.sensor === "radar";
-    const fields = this.clouds.get(name)?.object.set.values;
-    const power = ["power_db", "rcs_dbsm"].find((field) => fields?.has(field)) ?? null;
+    const power = set ? (["power_db", "rcs_dbsm"].find((field) => set.values.has(field)) ?? null) : null;
     const own = radar && power !== null && ["height", "intensity", "ring", "lag_s", "age_s"].includes(state.colour);
     return {
-      mode: own ? power : state.colour,
-      window: own ? powerWindow(this.clouds.get(name)!.object.set, power) : state.window,
+      mode: own ? power! : state.colour,
+      window: own ? powerWindow(set!, power!) : state.window,
       size: state.pointSize * (radar ? 2.2 : 1),
       grow: state.grow ? 1 : 0,
       opacity: lookOf(name, layer.kind).opacity,
       flat: PATTERN_COLOURS[row % PATTERN_COLOURS.length]!,
-      gate: radar && power ? { name: power, least: gateOf(this.clouds.get(name)!.object.set, power) } : null,
+      gate: radar && power ? { name: power, least: gateOf(set!, power) } : null,
       keep: state.filters.range,
     };
   }
@@ -207,14 +216,16 @@ export class Stage {
     const started = performance.now();
     const { main, close } = this.dirty;
     this.dirty = { main: false, close: false, lines: false };
-    if (main) this.renderMain();
-    if (close) this.renderSmall();
+    const covered = this.covered();
+    if (main && close) this.draw({ x: 0, y: 0, width: window.innerWidth, height: window.innerHeight }, this.empty, this.eye.camera({ x: 0, y: 0, width: 1, height: 1 })); // nothing stays of views that are gone
+    if (main) this.renderMain(covered);
+    if (close || (main && covered)) this.renderSmall();
     this.overlay({ main: true, close: true });
     this.drawn.ms = performance.now() - started;
     this.drawn.count += 1;
   }
 
-  private renderMain(): void {
+  private renderMain(covered: boolean): void {
     const panes = this.panes();
     let drawn = 0;
     for (const pane of panes) {
@@ -227,9 +238,11 @@ export class Stage {
       const total = visible.reduce((sum, object) => sum + object.set.count, 0) * panes.length;
       const share = this.moving ? Math.min(1, this.budget / Math.max(1, total)) : 1;
       for (const object of visible) drawn += object.limit(share);
-      this.draw(pane.rect, this.scene, pane.camera);
+      this.draw(pane.rect, covered ? this.empty : this.scene, pane.camera);
     }
     this.drawn = { ...this.drawn, frame: this.frame, points: drawn, whole: !this.moving };
+    if (state.drawnFrame !== this.frame) changed("drawn");
+    state.drawnFrame = this.frame;
   }
 
   inPane(name: string, layer: Layer, pane: number): boolean {
@@ -240,16 +253,17 @@ export class Stage {
   private renderSmall(): void {
     for (const view of this.smallViews()) {
       this.crop.clear();
+      if (view.under) this.crop.add(view.under);
       for (const cloud of view.clouds) this.crop.add(cloud.points);
-      this.draw(view.rect, this.crop, view.camera);
+      this.draw(view.rect, this.crop, view.camera, view.seen);
     }
   }
 
-  private draw(rect: Rect, scene: Scene, camera: Camera): void {
+  private draw(rect: Rect, scene: Scene, camera: Camera, seen = rect): void {
     if (rect.width < 2 || rect.height < 2) return;
-    const bottom = window.innerHeight - rect.y - rect.height;
-    this.renderer.setViewport(rect.x, bottom, rect.width, rect.height);
-    this.renderer.setScissor(rect.x, bottom, rect.width, rect.height);
+    const bottom = (of: Rect): number => window.innerHeight - of.y - of.height;
+    this.renderer.setViewport(rect.x, bottom(rect), rect.width, rect.height);
+    this.renderer.setScissor(seen.x, bottom(seen), seen.width, seen.height);
     this.renderer.clear();
     this.renderer.render(scene, camera);
   }
@@ -284,7 +298,8 @@ export class Stage {
   }
 }
 
-function place(object: { matrixAutoUpdate: boolean; matrix: Matrix4; matrixWorldNeedsUpdate: boolean }, layer: Layer): void {
+/** Put what is drawn of a layer where the layer stands. */
+export function place(object: { matrixAutoUpdate: boolean; matrix: Matrix4; matrixWorldNeedsUpdate: boolean }, layer: Layer): void {
   object.matrixAutoUpdate = false;
   if (layer.frame_T_layer) object.matrix.fromArray(layer.frame_T_layer).transpose();
   else object.matrix.identity();

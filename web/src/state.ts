@@ -1,10 +1,10 @@
 // What the page knows, in one place; whoever shows a part listens to its topic.
 
 import type { Box } from "./boxes";
-import type { BoxRow, Bookmark, CheckRow, FrameState, Job, PredictedRow, PredictionSet, TrackRow, Welcome } from "./protocol";
+import type { BoxRow, Bookmark, CheckRow, DriveRow, FrameState, Job, LabelState, PredictedRow, PredictionSet, TrackRow, Welcome } from "./protocol";
 
 export type Topic =
-  | "welcome" | "frame" | "boxes" | "selection" | "looks" | "filters" | "checks" | "connection" | "jobs" | "tracks" | "bookmarks" | "tool" | "play" | "saved";
+  | "welcome" | "frame" | "boxes" | "selection" | "looks" | "filters" | "checks" | "connection" | "jobs" | "tracks" | "bookmarks" | "tool" | "play" | "saved" | "drawn"; // drawn: another frame's picture stands
 
 export interface LayerLook {
   visible: boolean;
@@ -25,11 +25,14 @@ export const state = {
   welcome: null as Welcome | null,
   mode: "view" as Welcome["mode"],
   frame: 0,
-  shown: null as FrameState | null,
+  shown: null as FrameState | null, // the frame whose boxes stand on the page; another one than `frame` while that is on its way
+  drawnFrame: -1, // the frame whose picture stands on the page
   boxes: [] as BoxRow[],
-  tracks: new Map<number, TrackRow>(),
+  tracks: new Map<number, TrackRow>(), // of the drive
+  drive: "",
   bookmarks: [] as Bookmark[],
-  checks: [] as CheckRow[],
+  checks: [] as CheckRow[], // of the drive, as far as it is checked
+  hints: true, // whether what is only worth a look is listed
   predictions: [] as PredictionSet[],
   jobs: new Map<string, Job>(),
   selection: null as string | null,
@@ -63,10 +66,14 @@ export const state = {
   connected: false,
   everConnected: false,
   pending: 0,
-  savedAt: "",
+  labels: null as LabelState | null, // what the label files hold, and what the next save does
+  stopped: "", // why the server takes no more edits
+  unkept: false, // whether the browser cannot keep the edits that wait
+  note: null as { id: string; text: string } | null, // what is wrong with what was typed for a box
   undo: false,
   redo: false,
   takenBack: 0, // undos and redos that the server did for this window
+  jump: null as { frame: number; box: string } | null, // a box to select when its frame stands
   tape: [] as [number, number, number][],
 };
 
@@ -99,29 +106,42 @@ export function selected(): BoxRow | null {
   return state.boxes.find((row) => row.id === state.selection) ?? null;
 }
 
-const frameShown = (): number => state.shown?.frame.index ?? -1;
+/** Number of the frame whose boxes stand on the page; -1: none. */
+export const shownFrame = (): number => state.shown?.frame.index ?? -1;
+
+/** The drive of a frame: track numbers are its own. */
+export const driveOf = (frame: number): DriveRow | undefined => state.welcome?.drives.find((one) => one.frames.includes(frame));
 
 function carry(row: BoxRow | null): void {
   state.carried = row === null || row.track === null ? null : { track: row.track, class_name: row.class_name };
 }
 
 export function select(id: string | null): void {
-  if (state.selection === id && state.selectedIn === frameShown() && (id !== null || state.carried === null)) return;
+  if (state.selection === id && state.selectedIn === shownFrame() && (id !== null || state.carried === null)) return;
   state.selection = id;
-  state.selectedIn = frameShown();
+  state.selectedIn = shownFrame();
   carry(selected());
   changed("selection");
 }
 
+/** What is shown no longer is not changed by the next key: it is deselected. */
+function dropHidden(hidden: (row: BoxRow) => boolean): void {
+  const row = state.selectedIn === shownFrame() ? selected() : null;
+  if (row && hidden(row)) select(null);
+}
+
 /** A selected object stays selected in the next frame by its track number, never by the identity of its box. */
 export function keepSelection(): void {
+  on("boxes", () => dropHidden((row) => row.state === "rejected"));
+  on("filters", () => dropHidden((row) => !shownBoxes().includes(row)));
   on(["frame", "selection", "boxes"], () => {
-    if (state.selectedIn === frameShown()) {
+    if (state.selectedIn === shownFrame()) {
       const row = selected();
       if (row) carry(row); // its track or class may have been changed
       return;
     }
-    state.selectedIn = frameShown();
+    if (driveOf(state.selectedIn) !== driveOf(shownFrame())) state.carried = null;
+    state.selectedIn = shownFrame();
     const next = state.boxes.find((row) => state.carried !== null && row.track === state.carried.track)?.id ?? null;
     if (next === state.selection) return;
     state.selection = next;

@@ -3,6 +3,7 @@
 import { fitTimes, sketch } from "./annotate";
 import type { Vec3 } from "./boxes";
 import type { CloseUps } from "./closeups";
+import type { Name } from "./closeviews";
 import { hold } from "./edits";
 import { awaited } from "./frames";
 import { cached } from "./loader";
@@ -55,7 +56,8 @@ export function offerTest(stage: Stage, closeUps: CloseUps): void {
       state, stage, waitIdle, project, fitTimes, sketch, fenced, keyToFrame,
       drawn: () => ({ ...stage.drawn }),
       colours: () => stage.coloursNow(),
-      closeUp: (name: "top" | "side" | "front", p: Vec3) => closeUps.pixel(name, p),
+      closeUp: (name: Name, p: Vec3) => closeUps.pixel(name, p),
+      closeRadar: () => closeUps.radar,
       closePoints: () => closeUps.count,
       look: (target: Vec3, distance: number, top: boolean) => { stage.eye.frame(target, distance); stage.eye.top = top; stage.eye.azimuth = Math.PI; stage.touch(); },
       cached, hold,

@@ -6,9 +6,9 @@ import { bind, keyFor, run } from "./keys";
 import { onReply, send } from "./socket";
 import { changed, on, selected, state } from "./state";
 
-const strip = h("canvas", { tabIndex: -1, "aria-label": "frames", role: "slider" });
+const strip = h("canvas", { tabIndex: 0, "aria-label": "frames", role: "slider", "aria-valuemin": 1, "aria-valuenow": 1 });
 const counter = h("span", { class: "count" });
-const playButton = h("button", { onclick: () => run("play"), title: "Play or pause (Space)" }, "▶");
+const playButton = h("button", { onclick: () => run("play"), title: "Play or pause (Space)", "aria-label": "Play or pause" }, "▶");
 let timer = 0;
 let due = 0;
 
@@ -44,6 +44,7 @@ function next(): void {
 function draw(): void {
   const count = state.welcome?.frames ?? 0;
   counter.textContent = count ? `${state.frame + 1} / ${count}` : "";
+  [strip.ariaValueMax, strip.ariaValueNow] = [String(Math.max(1, count)), String(state.frame + 1)];
   playButton.textContent = state.playing ? "❚❚" : "▶";
   const ratio = Math.min(2, window.devicePixelRatio);
   const { width, height } = strip.getBoundingClientRect();
@@ -73,6 +74,9 @@ function marks(paper: CanvasRenderingContext2D, x: (frame: number) => number, fr
 const matches = new Map<string, Map<number, { missed: number; wrong: number }>>();
 let asked = "";
 let waiting = 0;
+
+/** Frames in which a set that is shown misses something or finds what is not there. */
+export const wrongFrames = (): number[] => [...matches].filter(([set]) => !state.hiddenSets.has(set)).flatMap(([, rows]) => [...rows.keys()]);
 
 /** Ask anew when sets or the least score changed, a detection ended, or the connection came back. */
 function askMatches(): void {
@@ -126,8 +130,8 @@ function scrub(): void {
 }
 
 export function timeline(): void {
-  const step = (text: string, id: string, title: string): HTMLElement => h("button", { class: "quiet", title: `${title} (${keyFor(id)})`, onclick: () => run(id) }, text);
-  const rate = h("select", { title: "frames a second", name: "rate", onchange: () => (state.rate = Number(rate.value)) },
+  const step = (text: string, id: string, title: string): HTMLElement => h("button", { class: "quiet", title: `${title} (${keyFor(id)})`, "aria-label": title, onclick: () => run(id) }, text);
+  const rate = h("select", { title: "frames a second", "aria-label": "frames a second", name: "rate", onchange: () => (state.rate = Number(rate.value)) },
     ...[1, 2, 5, 10, 20].map((value) => h("option", { value, selected: value === state.rate }, `${value} Hz`)));
   fill(byId("timeline"), step("«", "frame.first", "first frame"), step("‹", "frame.previous", "previous frame"), playButton, step("›", "frame.next", "next frame"), step("»", "frame.last", "last frame"), rate, strip, counter);
   bind("play", () => setPlaying(!state.playing));

@@ -1,7 +1,7 @@
 // Seconds that a person spends on a box: from its selection to the next, pauses over 60 s left out.
 
 import { send } from "./socket";
-import { on, state } from "./state";
+import { on, shownFrame, state } from "./state";
 
 const PAUSE_MS = 60_000;
 
@@ -22,6 +22,6 @@ export function timeBoxes(): void {
     if (state.selection === box) return;
     act();
     if (box && state.mode === "annotate" && edits > 0) send({ op: "timing", frame, box, seconds: Math.min(3600, spent / 1000), edits });
-    [box, frame, spent, edits] = [state.selection, state.frame, 0, 0];
+    [box, frame, spent, edits] = [state.selection, shownFrame(), 0, 0];
   });
 }

@@ -6,9 +6,10 @@ import type { PointSet } from "./cloud";
 import { show } from "./frames";
 import { bind } from "./keys";
 import { ready } from "./loader";
-import { newId, send } from "./socket";
+import { post } from "./post";
+import { newId } from "./socket";
 import type { Stage } from "./stage";
-import { boxOf, changed, select, selected, shownBoxes, shownPredictions, state } from "./state";
+import { boxOf, changed, select, selected, shownBoxes, shownFrame, state } from "./state";
 
 /** The colours that the shown layers can take. */
 export function colours(): string[] {
@@ -42,8 +43,10 @@ function frames(): void {
   bind("frame.first", () => show(0));
   bind("frame.last", () => show((state.welcome?.frames ?? 1) - 1));
   bind("bookmark", () => {
-    const there = state.bookmarks.some((mark) => mark.frame === state.frame);
-    send({ op: "bookmark.set", id: newId(), frame: state.frame, note: there ? null : "" });
+    const frame = shownFrame();
+    if (frame < 0) return;
+    const there = state.bookmarks.some((mark) => mark.frame === frame);
+    post({ op: "bookmark.set", id: newId(), frame, note: there ? null : "" });
   });
 }
 
@@ -78,45 +81,10 @@ export function lookAt(stage: Stage): void {
   stage.touch();
 }
 
-/** Objects worth a look in this frame: findings, missed truths, detections without a truth. */
-export function findings(): { box: string | null; at: [number, number, number] | null; text: string }[] {
-  const out = state.checks
-    .filter((row) => row.ignored === null && row.frame === state.frame)
-    .map((row) => ({ box: row.box, at: null as [number, number, number] | null, text: row.sentence }));
-  for (const { rows, missed } of shownPredictions(0)) {
-    for (const id of missed) out.push({ box: id, at: null, text: "missed" });
-    for (const row of rows.filter((one) => one.match === "false")) out.push({ box: null, at: row.box.slice(0, 3) as [number, number, number], text: "no truth" });
-  }
-  return out;
-}
-
-let finding = -1;
-
-function jump(stage: Stage, by: number): void {
-  const list = findings();
-  if (list.length === 0) {
-    const marked = [...new Set(state.checks.map((row) => row.frame))].sort((a, b) => a - b);
-    const next = by > 0 ? marked.find((frame) => frame > state.frame) : marked.findLast((frame) => frame < state.frame);
-    if (next !== undefined) show(next);
-    return;
-  }
-  finding = (finding + by + list.length) % list.length;
-  const { box, at } = list[finding]!;
-  if (box) {
-    select(box);
-    lookAt(stage);
-  } else if (at) {
-    stage.eye.frame(at, 18);
-    stage.touch();
-  }
-}
-
 export function bindViewing(stage: Stage): void {
   frames();
   objects(stage);
   for (let i = 1; i <= 9; i += 1) bind(`class.${i}`, () => classKey(i));
-  bind("check.next", () => jump(stage, 1));
-  bind("check.previous", () => jump(stage, -1));
   bind("colour.next", () => {
     const names = colours();
     setColour(names[(names.indexOf(state.colour) + 1) % names.length]!);

@@ -2,10 +2,10 @@
 
 import { toBox, fromBox, shifted, type Box, type Vec3 } from "./boxes";
 import { cropped, type PointSet } from "./cloud";
-import { byId, fill, h } from "./dom";
-import { addEditFor } from "./edits";
+import { byId, counted, fill, h } from "./dom";
+import { addEditFor, stepping } from "./edits";
+import { begin, cancelGesture, end } from "./gestures";
 import { show } from "./frames";
-import { close } from "./help";
 import { load, states } from "./loader";
 import { run } from "./keys";
 import type { BoxRow, FrameState } from "./protocol";
@@ -15,6 +15,7 @@ import { boxOf, on, selected, state, titleOf } from "./state";
 const TILES = 24;
 const WIDE_M = 12;
 const HIGH_M = 8;
+const COVERED = ["left", "main", "closeups", "right", "cameras", "grip-width"];
 
 interface Tile {
   frame: number;
@@ -37,14 +38,30 @@ export function openWall(): void {
   const at = Math.max(0, frames.findIndex((frame) => frame >= state.frame));
   first = Math.max(0, Math.min(at - 2, frames.length - TILES));
   build();
+  cover(true);
+  byId("over").focus();
+}
+
+export function closeWall(): void {
+  const over = byId("over");
+  const focused = over.contains(document.activeElement);
+  over.className = "";
+  fill(over);
+  cover(false);
+  if (focused) byId("main").focus();
+}
+
+/** What lies under the wall takes neither pointer nor Tab. */
+function cover(covered: boolean): void {
+  for (const id of COVERED) byId(id).inert = covered;
 }
 
 function build(): void {
   const info = state.tracks.get(track);
   const frames = (info?.frames ?? [state.frame]).slice(first, first + TILES);
   const over = byId("over");
-  over.className = "open wall";
-  tiles = frames.map((frame) => ({ frame, row: null, points: [], canvas: h("canvas", { width: 360, height: 240, "data-frame": frame }) }));
+  over.className = "wall";
+  tiles = frames.map((frame) => ({ frame, row: null, points: [], canvas: h("canvas", { "data-frame": frame, tabIndex: 0, role: "button" }) }));
   for (const tile of tiles) listen(tile);
   const row = selected();
   const size = info?.size ?? row?.box.slice(3, 6) ?? [];
@@ -54,8 +71,8 @@ function build(): void {
       h("strong", {}, `track ${track} ${titleOf(info?.class_name ?? row?.class_name ?? "")} ${size.map((value) => value.toFixed(2)).join(" × ")}${info?.size_locked ? " (locked)" : ""}`),
       h("span", { class: "weak" }, frames.length > 0 ? `frames ${frames[0]! + 1} to ${frames[frames.length - 1]! + 1}` : ""),
       h("button", { onclick: () => run("propagate.all") }, "Propagate (Shift+P)"), h("button", { onclick: () => run("interpolate") }, "Interpolate (I)"),
-      h("button", { class: "main", onclick: acceptAll }, "Accept all (Enter)"), h("button", { onclick: page(-TILES) }, "‹"), h("button", { onclick: page(TILES) }, "›"),
-      h("button", { onclick: close }, "Close (Esc)"), h("span", { class: "weak" }, "drag: a keyframe; double click: go there")),
+      h("button", { class: "main", onclick: acceptAll }, "Accept all (Enter)"), h("button", { onclick: page(-TILES), "aria-label": "earlier frames" }, "‹"), h("button", { onclick: page(TILES), "aria-label": "later frames" }, "›"),
+      h("button", { onclick: closeWall }, "Close (Esc)"), h("span", { class: "weak" }, "drag: a keyframe; double click, or Tab and Enter: go there")),
     h("div", { class: "tiles" }, ...tiles.map((tile) => tile.canvas)));
   for (const tile of tiles) fetchTile(tile);
 }
@@ -63,7 +80,7 @@ function build(): void {
 function fetchTile(tile: Tile): void {
   const known = states.get(tile.frame);
   if (known) void arrive(tile, known);
-  else send({ op: "frame.open", frame: tile.frame, threshold: 0, sweeps: 1 });
+  else send({ op: "frame.open", frame: tile.frame, threshold: 0, sweeps: state.sweeps, purpose: "ahead" });
 }
 
 onReply("frame.state", (message) => {
@@ -98,23 +115,26 @@ function residual(tile: Tile): number | null {
 function draw(tile: Tile, shown: Box | null = tile.row && boxOf(tile.row)): void {
   const { canvas, row } = tile;
   const paper = canvas.getContext("2d")!;
-  const scale = canvas.width / WIDE_M;
-  paper.clearRect(0, 0, canvas.width, canvas.height);
-  paper.font = "13px system-ui, sans-serif";
-  paper.fillStyle = "#8b98a7";
+  const [width, height, ratio] = [canvas.clientWidth, canvas.clientHeight, Math.min(2, devicePixelRatio)];
+  [canvas.width, canvas.height] = [width * ratio, height * ratio];
+  paper.scale(ratio, ratio);
+  const scale = width / WIDE_M;
+  paper.font = "11px system-ui, sans-serif";
+  paper.fillStyle = "#a9b5c2";
   const findings = state.checks.filter((one) => one.frame === tile.frame && one.ignored === null && (one.box === row?.id || one.track === track) && one.severity !== "info");
   canvas.className = `${row?.keyframe ? "key" : ""}${findings.length > 0 ? " bad" : ""}${tile.frame === state.frame ? " now" : ""}`;
   canvas.title = findings.map((one) => one.sentence).join(" ");
   const off = residual(tile);
-  paper.fillText(`${tile.frame + 1}${row?.keyframe ? " K" : ""}${row ? ` · ${row.points ?? "?"} points` : " · no box"}${off === null ? "" : ` · ${off.toFixed(2)} m`}${row?.state === "accepted" ? " ✓" : ""}`, 6, 16);
+  paper.fillText(`${tile.frame + 1}${row?.keyframe ? " K" : ""}${row ? ` · ${row.points === null ? "? points" : counted(row.points, "point")}` : " · no box"}${off === null ? "" : ` · ${off.toFixed(2)} m`}${row?.state === "accepted" ? " ✓" : ""}`, 6, 15);
+  canvas.ariaLabel = [`frame ${tile.frame + 1}`, row ? row.state : "no box", row?.keyframe ? "keyframe" : "", canvas.title].filter(Boolean).join(", ");
   if (!row || !shown) return;
   const axes = boxOf(row);
-  const pixel = (p: Vec3): [number, number] => { const q = toBox(axes, p); return [canvas.width / 2 + q[0] * scale, canvas.height / 2 - q[1] * scale]; };
+  const pixel = (p: Vec3): [number, number] => { const q = toBox(axes, p); return [width / 2 + q[0] * scale, height / 2 - q[1] * scale]; };
   paper.fillStyle = "#7fc6b0";
   for (const p of tile.points) {
     const q = toBox(axes, p);
     if (Math.abs(q[0]) > WIDE_M / 2 || Math.abs(q[1]) > HIGH_M / 2 || Math.abs(q[2]) > axes[5] / 2 + 0.6) continue;
-    paper.fillRect(canvas.width / 2 + q[0] * scale - 1, canvas.height / 2 - q[1] * scale - 1, 2, 2);
+    paper.fillRect(width / 2 + q[0] * scale - 1, height / 2 - q[1] * scale - 1, 2, 2);
   }
   paper.strokeStyle = row.keyframe ? "#56b4e9" : "#ffffff";
   paper.lineWidth = 1.5;
@@ -128,32 +148,47 @@ function draw(tile: Tile, shown: Box | null = tile.row && boxOf(tile.row)): void
 }
 
 function listen(tile: Tile): void {
-  let start: { x: number; y: number } | null = null;
+  let start: { x: number; y: number; pointer: number } | null = null;
   const now = (event: PointerEvent): Box => {
-    const scale = tile.canvas.getBoundingClientRect().width / WIDE_M;
+    const scale = tile.canvas.clientWidth / WIDE_M;
     return shifted(boxOf(tile.row!), (event.clientX - start!.x) / scale, -(event.clientY - start!.y) / scale, 0);
   };
   tile.canvas.addEventListener("pointerdown", (event) => {
-    if (!tile.row || state.mode !== "annotate") return;
-    start = { x: event.clientX, y: event.clientY };
+    if (!tile.row || start || event.button !== 0 || state.mode !== "annotate" || stepping()) return;
+    begin(() => { start = null; draw(tile); });
+    start = { x: event.clientX, y: event.clientY, pointer: event.pointerId };
     tile.canvas.setPointerCapture(event.pointerId);
   });
-  tile.canvas.addEventListener("pointermove", (event) => start && draw(tile, now(event)));
+  tile.canvas.addEventListener("pointermove", (event) => start?.pointer === event.pointerId && draw(tile, now(event)));
   tile.canvas.addEventListener("pointerup", (event) => {
-    if (start && tile.row && Math.hypot(event.clientX - start.x, event.clientY - start.y) > 2)
+    if (start?.pointer !== event.pointerId) return;
+    end();
+    if (tile.row && Math.hypot(event.clientX - start.x, event.clientY - start.y) > 2)
       addEditFor(tile.frame, tile.row, { box: now(event), state: "edited", source: "lidar" });
     start = null;
   });
-  tile.canvas.addEventListener("dblclick", () => { close(); show(tile.frame); });
+  for (const lost of ["pointercancel", "lostpointercapture"] as const)
+    tile.canvas.addEventListener(lost, (event) => { if (start?.pointer === event.pointerId) cancelGesture(); });
+  const go = (): void => { closeWall(); show(tile.frame); };
+  tile.canvas.addEventListener("dblclick", go);
+  tile.canvas.addEventListener("click", (event) => { if (event.detail === 0) go(); }); // by a key
 }
 
 /** Accept every box of the wall: one group, so one undo. */
 export function acceptAll(): void {
+  if (state.mode !== "annotate" || stepping()) return;
   const group = newId();
-  for (const tile of tiles) if (tile.row && tile.row.state !== "accepted") addEditFor(tile.frame, tile.row, { state: "accepted" }, group);
+  for (const tile of tiles) if (tile.row && tile.row.state !== "accepted" && tile.row.state !== "rejected") addEditFor(tile.frame, tile.row, { state: "accepted" }, group);
 }
 
 export function wallPanel(): void {
+  window.addEventListener("resize", () => tiles.forEach((tile) => wallOpen() && draw(tile)));
+  on("tool", () => { if (wallOpen() && state.mode !== "annotate") closeWall(); });
+  on("welcome", () => {
+    if (!wallOpen()) return;
+    cancelGesture();
+    build(); // what it had asked for went with the connection
+  });
   on(["boxes", "checks", "tracks"], () => {
     if (!wallOpen()) return;
     const frames = state.tracks.get(track)?.frames.slice(first, first + TILES) ?? [];

@@ -17,14 +17,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from farfield.annotation.checking import CheckSettings, DetectorBox, LabelIssue, SizeRange
 from farfield.annotation.edits import LARGEST_M, add_box
-from farfield.annotation.findings import all_findings, findings, settings_of, size_ranges
+from farfield.annotation.findings import findings, settings_of, size_ranges
 from farfield.annotation.fitting import (
     BoxFit,
     Prior,
@@ -36,7 +36,7 @@ from farfield.annotation.fitting import (
     refit,
 )
 from farfield.annotation.motion import RefitBox, TrackFrame, from_world, to_world
-from farfield.annotation.saving import SaveSummary, save, save_target
+from farfield.annotation.saving import SaveSummary, save, save_target, unwritten_in
 from farfield.annotation.schema import (
     AttributeSettings,
     ClassSettings,
@@ -60,12 +60,17 @@ from farfield.files.atomic import read_bytes, write_bytes
 from farfield.frame import Boxes, Frame, Key
 from farfield.geometry.iou import pairwise_iou
 from farfield.vocabulary.classes import CIRRUS_CLASSES, SMALL_KINDS, VEHICLE_KINDS
+from farfield.vocabulary.counts import count_of
 
 START = "labels.csv"
 _OPENING_FRAMES = 50
-"""First frames that are read to find the classes and the extent of a data set."""
+"""So many frames are read to find the classes and their sizes, and the first ones for the extent, of a data set."""
+_FEWEST_FOR_MEDIAN = 5
+"""Of fewer boxes of a class the median says less than the published size."""
 _SIZE_FRAMES = 500
 """Frames whose boxes tell the sizes of the data set's classes."""
+_NEIGHBOURS, _NEIGHBOUR_M, _LANE_M = 5, 30.0, 1.75
+"""So many vehicles within so far tell how others drive; one so little beside stands in the same lane."""
 _SAME_IOU = 0.1
 """A detection that overlaps a box so much is not proposed beside it."""
 
@@ -151,9 +156,14 @@ class Annotator:
             format: Another format than the labels' own; empty for their own.
 
         Raises:
-            FarfieldError: If a box cannot be written in the format, or the folder holds something else.
+            UnwrittenError: If boxes cannot be written in the format, once the files of all others are written.
+            FarfieldError: If the folder holds something else, or cannot be written to.
         """
         return save(self.store, author, id, target=self.save_folder, folder=folder, format=format or self.to)
+
+    def unwritten(self, *, folder: str | None = None, format: str = "") -> int:
+        """How many edits of boxes the label files of a save lack; arguments as of :meth:`save`."""
+        return unwritten_in(self.store, target=self.save_folder, folder=folder, format=format or self.to)
 
     # Checks
 
@@ -172,9 +182,28 @@ class Annotator:
             detections=[] if detections is None else self._detector_boxes(detections),
         )
 
-    def check_all(self) -> list[LabelIssue]:
-        """Findings of all frames, without points."""
-        return list(all_findings(self.store, self.limits))
+    def check_once(
+        self, index: int, before: Sequence[LabelIssue] = (), detections: Boxes | None = None, *, points: bool
+    ) -> list[LabelIssue]:
+        """Findings of a frame that is one of many: its cloud is read for this once, or not at all.
+
+        Args:
+            index: The frame's number.
+            before: What was found in it before: without ``points``, what that found against them still stands.
+            detections: What a detector found in it.
+            points: Whether the frame's points are looked at.
+
+        Raises:
+            FarfieldError: If the frame or its labels cannot be read.
+        """
+        return findings(
+            self.store,
+            self.store.keys[index],
+            self.limits,
+            around=SortedPoints(self.store.data.__getitem__).around(index, "lidar") if points else None,
+            detections=[] if detections is None else self._detector_boxes(detections),
+            before=before,
+        )
 
     @property
     def limits(self) -> CheckSettings:
@@ -274,17 +303,36 @@ class Annotator:
             size = track_size or size
         kind = name if name in VEHICLE_KINDS or name in SMALL_KINDS else cirrus_class(gesture.class_name)
         prior = prior_of(kind, size_m=size, extent="visible part" if self.store.extent == "visible" else "whole body")
+        lane_rad, roads_rad = self._lanes(index, gesture) if prior.anchored else (None, ())
         ego_m, ego_z_m = sensor_place(self.frame(index), "radar" if gesture.kind == "peak" else "lidar")
         return Prior(
             size_m=prior.size_m,
             anchored=prior.anchored,
             extent=prior.extent,
             yaw_rad=yaw,
-            lane_rad=0.0 if prior.anchored else None,  # most vehicles drive along the sensor's own way
+            lane_rad=lane_rad,
+            roads_rad=roads_rad,
             fixed_size=locked,
             ego_m=ego_m,
             ego_z_m=ego_z_m,
         )
+
+    def _lanes(self, index: int, gesture: Gesture) -> tuple[float, tuple[float, ...]]:
+        """Heading of the vehicle next in the same lane, and the headings of the nearest ones, the sensor's own first.
+
+        Most vehicles drive along the sensor's own way: that stands where no neighbour is annotated.
+        """
+        at = gesture.at[:2] if gesture.box is None else gesture.box[:2]
+        near: list[tuple[float, float, float]] = []
+        for row in self.store.rows(self.store.keys[index]):
+            label = row.label
+            if label.state == "rejected" or cirrus_class(label.label) in SMALL_KINDS or label.box == gesture.box:
+                continue
+            x, y, yaw = at[0] - label.box[0], at[1] - label.box[1], label.box[6]
+            near.append((math.hypot(x, y), abs(y * math.cos(yaw) - x * math.sin(yaw)), yaw))
+        near = sorted(neighbour for neighbour in near if neighbour[0] <= _NEIGHBOUR_M)
+        lane_rad = next((yaw for _, beside_m, yaw in near if beside_m <= _LANE_M), 0.0)
+        return lane_rad, (0.0, *(yaw for _, _, yaw in near[:_NEIGHBOURS]))
 
     def _track_prior(self, index: int, track: str) -> tuple[float | None, Size | None, bool]:
         """Yaw of a track in a frame, from its nearest box; its size; whether that is locked."""
@@ -344,7 +392,7 @@ def open_store(
         FarfieldError: If another process annotates it, or the journal or its classes are damaged.
     """
     # The journal's folder: as given, among the user's data for frames that ship, else beside the labels.
-    if edits is not None or data.name == "samples":
+    if edits is not None or data.name in ("samples", "open_sweeps"):
         folder = edits or user_folder(data.root)
         folder.mkdir(parents=True, exist_ok=True)
     else:
@@ -377,10 +425,22 @@ def known_extent(data: Dataset) -> Extent | None:
     return None
 
 
-def label_classes(labels: LabelFormat, data: Dataset) -> dict[str, Size]:
-    """The classes that boxes of the first frames bear, as their files spell them, with their median sizes."""
+class LabelSize(NamedTuple):
+    """The size of a class in a data set's labels.
+
+    Args:
+        size_m: Median length, width and height.
+        boxes: Of how many boxes.
+    """
+
+    size_m: Size
+    boxes: int
+
+
+def label_classes(labels: LabelFormat, data: Dataset) -> dict[str, LabelSize]:
+    """The classes that boxes of some frames bear, from the first to the last, as their files spell them, with sizes."""
     files: dict[Path, list[Key]] = {}
-    for key in data.keys[:_OPENING_FRAMES]:
+    for key in data.keys[:: max(1, -(-len(data.keys) // _OPENING_FRAMES))]:
         files.setdefault(labels.path(key), []).append(key)
     sizes: dict[str, list[tuple[float, ...]]] = {}
     for path, keys in files.items():
@@ -391,31 +451,43 @@ def label_classes(labels: LabelFormat, data: Dataset) -> dict[str, Size]:
         for label in itertools.chain.from_iterable(frames.values()):
             if all(0 < length <= LARGEST_M for length in label.box[3:6]):
                 sizes.setdefault(label.label, []).append(label.box[3:6])
-    medians = {name: np.median(rows, axis=0).tolist() for name, rows in sizes.items()}
-    return {name: (length, width, height) for name, (length, width, height) in medians.items()}
+    medians = {name: (np.median(rows, axis=0).tolist(), len(rows)) for name, rows in sizes.items()}
+    return {
+        name: LabelSize((round(length, 3), round(width, 3), round(height, 3)), boxes)
+        for name, ((length, width, height), boxes) in medians.items()
+    }
 
 
 def offered_classes(
-    format_name: str, classes: Sequence[str], label_sizes_m: Mapping[str, Size]
+    format_name: str, classes: Sequence[str], label_sizes: Mapping[str, LabelSize]
 ) -> dict[str, ClassSettings]:
     """The classes to offer: those given, else the data set's; in Cirrus's words where its boxes bear these.
 
-    What boxes bear beside is offered too, with its own size: else such a box could be moved and no second one drawn.
+    Their usual sizes are the medians of the data set's own boxes, where it has five or more of a class; else those that
+    are published of its format, else Farfield's. What boxes bear beside is offered too, with its own size: else such a
+    box could be moved and no second one drawn.
 
     Args:
         format_name: Format of the data set.
         classes: As of :func:`~farfield.annotation.schema.shown_classes`.
-        label_sizes_m: Of :func:`label_classes`.
+        label_sizes: Of :func:`label_classes`.
     """
     presets = annotated_classes(format_name, classes)
-    if label_sizes_m and set(label_sizes_m) <= set(CIRRUS_CLASSES):
+    if label_sizes and set(label_sizes) <= set(CIRRUS_CLASSES):
         presets = shown_classes(format_name, classes)
     offered = {
-        name: ClassSettings(size_m=size_m, types=dict(types), fastest_m_s=fastest(name))
-        for name, size_m, types in presets
+        preset.name: ClassSettings(
+            size_m=preset.size_m, types=dict(preset.types), fastest_m_s=fastest(preset.name), source=preset.source
+        )
+        for preset in presets
     }
-    others = {name: size for name, size in label_sizes_m.items() if name and name not in offered}
-    return offered | {name: ClassSettings(size_m=size, fastest_m_s=fastest(name)) for name, size in others.items()}
+    for name, (size_m, boxes) in label_sizes.items():
+        source = f"median of {count_of(boxes, 'box')} of the data set"
+        if name and name not in offered:
+            offered[name] = ClassSettings(size_m=size_m, fastest_m_s=fastest(name), source=source)
+        elif name and boxes >= _FEWEST_FOR_MEDIAN and not classes:
+            offered[name] = offered[name].model_copy(update={"size_m": size_m, "source": source})
+    return offered
 
 
 def _csv_copy(data: Dataset, folder: Path) -> LabelFormat:

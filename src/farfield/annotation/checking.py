@@ -20,6 +20,7 @@ from farfield.datasets.labels import BoxLabel, Numbers
 from farfield.frame import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.iou import pairwise_iou
+from farfield.vocabulary.counts import count_of
 
 Severity = Literal["info", "warning", "error"]
 
@@ -146,12 +147,14 @@ class CheckedFrame:
         row: Its row in its drive.
         around: Its LiDAR points, sorted for quick look-up; None: points are not looked at.
         detections: What a detector found, if one was run.
+        before: Issues of an earlier check: those against the points still stand where ``around`` is None.
     """
 
     key: Key
     row: int = 0
     around: Surroundings | None = None
     detections: Sequence[DetectorBox] = ()
+    before: Sequence[LabelIssue] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,6 +212,8 @@ CHECKS = (
     "detector",
 )
 """Names of the checks."""
+POINT_CHECKS = ("ground", "empty", "outside")
+"""Those that look at the points of the frame."""
 _SEVERITIES = ("error", "warning", "info")
 
 
@@ -240,7 +245,7 @@ def check(
         disagreements(valid, frame, settings),
     )
     reasons = ignored or {}
-    explained = [replace(issue, ignored=reasons[issue.id]) if issue.id in reasons else issue for issue in issues]
+    explained = [replace(issue, ignored=reasons.get(issue.id)) for issue in issues]
     return sorted(explained, key=_rank)
 
 
@@ -365,7 +370,7 @@ def track_checks(boxes: Labels, scene: CheckedFrame, tracks: Courses, settings: 
         if step is None:
             continue
         if course.frames < settings.shortest_track:
-            sentence = f"{label.label} {label.track} is in {course.frames} frames only."
+            sentence = f"{label.label} {label.track} is in {count_of(course.frames, 'frame')} only."
             yield box_issue(scene, label, "short", "info", sentence)
         yield from _jump(label, course, step, scene, settings)
         if step > 0:
@@ -379,7 +384,11 @@ def _changes_since(
     before, now = course.steps[step - 1], course.steps[step]
     name, missing = f"{label.label} {label.track}", now.row - before.row - 1
     if 1 <= missing <= settings.longest_gap:
-        gap = "is missing in the frame before" if missing == 1 else f"is missing in the {missing} frames before"
+        gap = (
+            "is missing in the frame before"
+            if missing == 1
+            else f"is missing in the {count_of(missing, 'frame')} before"
+        )
         yield box_issue(scene, label, "gap", "warning", f"{name} {gap}.")
     change = max(abs(a / b - 1) for a, b in zip(now.box[3:6], before.box[3:6], strict=True))
     if change > settings.track_size and not course.locked:
@@ -444,6 +453,8 @@ FACE_M = 0.1
 def point_checks(boxes: Labels, scene: CheckedFrame, settings: CheckSettings) -> Iterator[LabelIssue]:
     """All checks against the points of the frame."""
     if scene.around is None:
+        names = {label.id for label in boxes}
+        yield from (issue for issue in scene.before if issue.check in POINT_CHECKS and issue.box in names)
         return
     for label in boxes:
         radius_m = float(np.hypot(*label.box[3:5])) / 2 + REACH_M
@@ -499,7 +510,7 @@ def _outside(
     label: BoxLabel, outside: int, count: int, scene: CheckedFrame, settings: CheckSettings
 ) -> Iterator[LabelIssue]:
     if outside >= FEWEST_OUTSIDE and outside + count >= FEWEST_OF_OBJECT and outside > settings.ring_share * count:
-        sentence = f"{label.label}: {outside} points just outside it, {count} inside: is it large enough?"
+        sentence = f"{label.label}: {count_of(outside, 'point')} just outside it, {count} inside: is it large enough?"
         yield box_issue(scene, label, "outside", "warning", sentence)
 
 

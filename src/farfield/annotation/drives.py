@@ -107,8 +107,8 @@ class TrackIndex:
         return sorted((track for track, boxes in self._loaded(drive).items() if boxes), key=_by_number)
 
     def new(self, drive: str) -> str:
-        """A track number that the drive does not use."""
-        used = [int(track) for track in self._loaded(drive) if track.isascii() and track.isdigit()]
+        """A track number that the drive does not use; longer ones than nine digits, which files do not hold, aside."""
+        used = [int(track) for track in self._loaded(drive) if track.isascii() and track.isdigit() and len(track) < 10]
         return str(max(used, default=FIRST_NEW - 1) + 1)
 
     def _loaded(self, drive: str) -> dict[str, set[TrackBox]]:

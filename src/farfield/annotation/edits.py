@@ -1,7 +1,8 @@
 """Edits of boxes and of tracks, each a plan for :meth:`~farfield.annotation.store.Store.edit`."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from farfield.annotation.errors import ConflictError, RefusedError
@@ -10,11 +11,12 @@ from farfield.annotation.store import Plan, Store, StoredBox
 from farfield.datasets.edits import CellEdit, box_cell, numbers, track_cell
 from farfield.datasets.labels import Numbers
 from farfield.frame import Key
+from farfield.vocabulary.counts import count_of
 
 STATES = ("proposed", "edited", "accepted", "rejected")
-SOURCES = ("", "lidar", "radar", "camera", "interpolated", "propagated", "detector")
+SOURCES = ("", "lidar", "radar", "camera", "interpolated", "propagated", "predicted", "detector")
 FARTHEST_M, LARGEST_M = 1000.0, 60.0
-TOOL_SOURCES = ("interpolated", "propagated")
+TOOL_SOURCES = ("interpolated", "propagated", "predicted")
 """Sources of boxes that a person did not place: one that is moved by hand is no longer of these."""
 
 Value = Mapping[str, Any]
@@ -42,6 +44,8 @@ def set_box(store: Store, key: Key, name: str, base: int, value: Value) -> Seque
         new["state"] = "edited"
     if new.get("source") in TOOL_SOURCES and new["box"] != old["box"] and new.get("state", "accepted") != "proposed":
         new["source"] = "lidar"
+    was_proposed = old.get("state") in ("proposed", "rejected")
+    new = _with_track(store, key, new, always=was_proposed)
     changes = [store.change(cell, new, base=base)]
     if new["box"][3:6] != old["box"][3:6] and new.get("track") and row.label.track == new.get("track"):
         changes += locked_size(store, key, name, new)
@@ -62,8 +66,24 @@ def add_box(store: Store, key: Key, name: str, value: Value) -> Sequence[CellEdi
         raise RefusedError("name", f"frame {'/'.join(key)} has a box {name!r} already", "Use a new name.")
     if key not in store.index_of:
         raise RefusedError("frame", f"there is no frame {'/'.join(key)}")
-    new = validate_box(store, {"state": "edited", **value}, None)
+    new = _with_track(store, key, validate_box(store, {"state": "edited", **value}, None))
     return [store.change(cell, new)]
+
+
+def _with_track(store: Store, key: Key, new: dict[str, Any], *, always: bool = False) -> dict[str, Any]:
+    """A box with a track of its own where it has none, is to be written, and its label file gives each object one.
+
+    Args:
+        store: The annotation.
+        key: The frame.
+        new: The box's value.
+        always: Whatever the label files hold, such as of a detection that a person accepts.
+    """
+    if new.get("track") or new.get("state") in ("proposed", "rejected"):
+        return new
+    if not always and not getattr(store.files.format, "needs_tracks", False):
+        return new
+    return {**new, "track": store.tracks.new(store.drives.locate(key).drive)}
 
 
 def delete_box(store: Store, key: Key, name: str, base: int) -> Sequence[CellEdit]:
@@ -135,20 +155,23 @@ def validate_box(store: Store, value: Value, old: Value | None) -> dict[str, Any
     _check_types(new)
     if new.get("state") == "accepted":
         del new["state"]
+    old_attributes = (old or {}).get("attributes", {})
     for name, field in dict(new.get("attributes", {})).items():
-        if field != (old or {}).get("attributes", {}).get(name):
-            fault = store.schema.fault(name, field)
-            if fault:
-                raise RefusedError("attribute", fault, "classes.yaml beside the journal says what there is.")
+        standing = old_attributes.get(name)
+        if name in old_attributes and type(field) is type(standing) and field == standing:
+            continue
+        fault = store.schema.fault(name, field)
+        if fault:
+            raise RefusedError("attribute", fault, "classes.yaml beside the journal says what there is.")
     return new
 
 
 def _box(box: Any) -> list[float]:
     try:
         x, y, z, length, width, height, yaw = numbers(box)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise RefusedError("box", str(error)) from None
-    if not all(map(math.isfinite, box)):
+    if not all(map(math.isfinite, (x, y, z, length, width, height, yaw))):
         raise RefusedError("box", "expected finite numbers as box")
     if not all(0 < size <= LARGEST_M for size in (length, width, height)):
         raise RefusedError("size", f"expected sizes above 0 and up to {LARGEST_M:g} m, got {length}, {width}, {height}")
@@ -160,12 +183,22 @@ def _box(box: Any) -> list[float]:
 def _check_types(new: Value) -> None:
     """What is kept beside the box must be readable again: a damaged value would shut its frame."""
     score, attributes = new.get("score", 0.0), new.get("attributes", {})
-    if isinstance(score, bool) or not isinstance(score, int | float) or not math.isfinite(score):
-        raise RefusedError("score", f"expected a finite number as score, got {str(score)[:40]!r}")
+    if isinstance(score, bool) or not isinstance(score, int | float) or not _storable(score):
+        raise RefusedError("score", "expected a finite number as score, of 64 bits at most")
     if not isinstance(attributes, Mapping) or not all(isinstance(name, str) for name in attributes):
         raise RefusedError("attribute", f"expected attributes by name, got {str(attributes)[:40]!r}")
+    for name, value in attributes.items():
+        if not isinstance(value, str | int | float):
+            raise RefusedError("attribute", f"{name}: expected text, a number or a flag, got {str(value)[:40]!r}")
+        if not isinstance(value, str) and not _storable(value):
+            raise RefusedError("attribute", f"{name}: expected a finite number of 64 bits")
     if "proposal" in new:
         _box(new["proposal"])
+
+
+def _storable(number: int | float) -> bool:
+    """Whether the journal can hold a number: finite, a whole one of 64 bits."""
+    return -(2**63) <= number < 2**63 if isinstance(number, int) else math.isfinite(number)
 
 
 def _check_terms(store: Store, new: Value, old: Value) -> None:
@@ -302,7 +335,7 @@ def merge_tracks(store: Store, drive: str, track: str, into: str, base: int, int
         frames = ", ".join(store.drives.keys(drive)[row][1] for row in both[:3])
         mend = "Delete one of the two boxes there first."
         raise RefusedError(
-            "overlap", f"tracks {track} and {into} both have a box in {len(both)} frames ({frames})", mend
+            "overlap", f"tracks {track} and {into} both have a box in {count_of(len(both), 'frame')} ({frames})", mend
         )
     other = store.value(track_cell(drive, into)) or {}
     label = into_boxes[-1][2].label.label
@@ -356,22 +389,35 @@ def interpolate_track(store: Store, drive: str, track: str, first: int, last: in
         prefix: How the names of new boxes begin, such as the edit's id.
 
     Raises:
-        RefusedError: If there are not two keyframes.
+        RefusedError: If there are not two keyframes, or two at one time.
     """
     boxes = _require_track(store, drive, track)
     keyframes = [(key, box) for _, key, box in boxes if box.label.keyframe]
     if len(keyframes) < 2:
-        raise RefusedError("keyframes", f"track {track} has {len(keyframes)} keyframes", "Set two or more (key K).")
+        raise RefusedError(
+            "keyframes", f"track {track} has {count_of(len(keyframes), 'keyframe')}", "Set two or more (key K)."
+        )
     keys = store.drives.keys(drive)
     frames = track_frames(store, keys[max(first, 0) : last + 1])
     anchors = track_frames(store, (key for key, _ in keyframes))
+    for before, after in pairwise(anchors):
+        if before.time_s == after.time_s:
+            sentence = f"track {track} has two keyframes at the time of frame {after.key[1]}"
+            raise RefusedError("keyframes", sentence, "Delete one of the two boxes, or give it another track number.")
     keyframe_boxes = [(moment, box.label.box) for moment, (_, box) in zip(anchors, keyframes, strict=True)]
     size = (store.value(track_cell(drive, track)) or {}).get("size")
     return fill_track(store, drive, track, interpolate(keyframe_boxes, frames, size), "interpolated", prefix)
 
 
 def propagate_track(
-    store: Store, drive: str, track: str, first: int, last: int, refit: Refit | None = None
+    store: Store,
+    drive: str,
+    track: str,
+    first: int,
+    last: int,
+    refit: Refit | None = None,
+    *,
+    always: bool = False,
 ) -> PropagatedTrack:
     """Where a track goes on from a frame; :func:`fill_track` makes an edit of it.
 
@@ -384,6 +430,7 @@ def propagate_track(
         first: Row of the drive from which it goes on; the track has a box there.
         last: Row to which it goes; before ``first`` to go backwards. The track's end is respected.
         refit: Fits the object in a frame; None: it goes where its motion takes it.
+        always: Place it in every frame, by its motion alone where the points do not decide.
 
     Raises:
         RefusedError: If the track has no box in the first frame.
@@ -403,11 +450,17 @@ def propagate_track(
     keyframe_boxes = [(moment, boxes[row][1].label.box) for moment, row in zip(trail, anchors, strict=True)]
     ahead = [keys[row] for row in range(first + step, last + step, step) if 0 <= row < len(keys)]
     later_keyframes = {key: box.label.box for key, box in boxes.values() if box.label.keyframe and key in ahead}
-    return propagate(keyframe_boxes, track_frames(store, ahead), refit, later_keyframes=later_keyframes)
+    return propagate(keyframe_boxes, track_frames(store, ahead), refit, later_keyframes=later_keyframes, always=always)
 
 
 def fill_track(
-    store: Store, drive: str, track: str, boxes: Mapping[Key, Numbers], source: str, prefix: str
+    store: Store,
+    drive: str,
+    track: str,
+    boxes: Mapping[Key, Numbers],
+    source: str,
+    prefix: str,
+    predicted: Collection[Key] = (),
 ) -> list[CellEdit]:
     """Put boxes of a track into frames, with class and attributes of the keyframe before; keyframes stay.
 
@@ -418,6 +471,7 @@ def fill_track(
         boxes: A box for each frame.
         source: ``interpolated`` or ``propagated``.
         prefix: How the names of new boxes begin.
+        predicted: Frames whose box is there by motion alone: its source is ``predicted``.
 
     Raises:
         RefusedError: If a box is not possible, such as one beyond a kilometre.
@@ -435,7 +489,8 @@ def fill_track(
         before = [box for row, box in keyframes if row <= rows[key]] or [keyframes[0][1]]
         cell = box_cell(key, f"{prefix}.{rows[key]}"[-64:] if old is None else old.label.id)
         value: dict[str, Any] = {"label": before[-1].label.label, "box": list(box), "track": track}
-        value |= {"state": "edited", "source": source, "attributes": dict(before[-1].label.attributes)}
+        value |= {"state": "edited", "source": "predicted" if key in predicted else source}
+        value |= {"attributes": dict(before[-1].label.attributes)}
         changes.append(store.change(cell, validate_box(store, value, None)))
     return [change for change in changes if change.old != change.new]
 

@@ -63,3 +63,5 @@ class JournalHeldError(FarfieldError):
 
 class JournalError(FarfieldError):
     """The journal could not be written, such as on a full disk: from then on no edit is taken."""
+
+    code = "journal"

@@ -1,6 +1,7 @@
 """The checks of the annotation as it stands, frame by frame, with the usual sizes of the data set's own boxes."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -19,10 +20,13 @@ from farfield.annotation.motion import TrackFrame, to_world
 from farfield.annotation.notes import ignored_findings
 from farfield.annotation.store import Store, StoredBox
 from farfield.annotation.surroundings import Surroundings
-from farfield.datasets.edits import track_cell
+from farfield.datasets.edits import CellEdit, Record, track_cell
 from farfield.datasets.labels import BoxLabel
+from farfield.errors import FarfieldError
 from farfield.frame import Key
 
+_LOG = logging.getLogger(__name__)
+_UNREADABLE = "unreadable"
 AROUND = 6
 """So many frames before and after are looked at: the longest gap that is said, and one more."""
 
@@ -54,6 +58,7 @@ def findings(
     *,
     around: Surroundings | None = None,
     detections: Sequence[DetectorBox] = (),
+    before: Sequence[LabelIssue] = (),
 ) -> list[LabelIssue]:
     """What a person should look at in a frame.
 
@@ -63,6 +68,7 @@ def findings(
         settings: Limits, see :func:`settings_of`.
         around: The frame's LiDAR points; None: points are not looked at.
         detections: What a detector found.
+        before: What an earlier check found in it: without ``around``, what that found against the points still stands.
     """
     with store.lock:
         located = store.drives.locate(key)
@@ -70,7 +76,7 @@ def findings(
         tracks = {label.track for label in boxes if label.track}
         courses = {track: nearby_track(store, located.drive, track, located.row) for track in tracks}
         reasons = ignored_findings(store)
-    scene = CheckedFrame(key=key, row=located.row, around=around, detections=detections)
+    scene = CheckedFrame(key=key, row=located.row, around=around, detections=detections, before=before)
     return check(boxes, scene, courses, settings, ignored=reasons)
 
 
@@ -96,10 +102,101 @@ def nearby_track(store: Store, drive: str, track: str, row: int) -> NearbyTrack:
     return NearbyTrack(steps, len({member.row for member in members}), posed=posed, locked=locked)
 
 
-def all_findings(store: Store, settings: CheckSettings) -> Iterator[LabelIssue]:
-    """Findings of every frame, without points: frame by frame, in the data set's order."""
-    for key in store.keys:
-        yield from findings(store, key, settings)
+CheckFrame = Callable[[Key, bool, Sequence[LabelIssue]], list[LabelIssue]]
+"""Checks a frame, with its points or without, given what was found before; see :func:`findings`."""
+
+
+class DriveFindings:
+    """Findings of the frames of a drive, brought up to date after edits.
+
+    All frames are first checked without their points, which takes milliseconds a frame, then each with them. An edit
+    has the frames around it checked again without points, and with them only where boxes of the frame itself changed:
+    no other cloud is read again. Who calls decides when: :meth:`take` is told of an edit, :meth:`check` does one frame.
+
+    Args:
+        store: The annotation.
+        keys: The frames.
+        check_frame: Checks one of them.
+    """
+
+    def __init__(self, store: Store, keys: Sequence[Key], check_frame: CheckFrame) -> None:
+        self.store, self.keys, self._check_frame = store, tuple(keys), check_frame
+        self.issues: dict[Key, list[LabelIssue]] = {}
+        self.labels_due = dict.fromkeys(self.keys)
+        """Frames that are to be checked without their points, in order."""
+        self.points_due = dict.fromkeys(self.keys)
+        """Frames of which the points are still to be looked at."""
+        self._members, self._turns = frozenset(self.keys), dict[Key, int]()
+
+    def affected(self, record: Record) -> tuple[list[Key], list[Key]]:
+        """Frames whose findings an edit may have changed: those whose points are to be looked at again, and all."""
+        own: list[Key] = []
+        frames: list[Key] = []
+        with self.store.lock:
+            for change in record.changes:
+                match change.cell:
+                    case ("box", sequence, frame, _):
+                        own.append((sequence, frame))
+                        frames += [(sequence, frame), *self._beside((sequence, frame), change)]
+                    case ("track", drive, track):
+                        frames += [member.key for member in self.store.tracks.boxes(drive, track)]
+                    case ("ignored", finding):
+                        issues = list(self.issues.items())
+                        frames += [key for key, rows in issues if any(issue.id == finding for issue in rows)]
+                    case ("extent",):
+                        own, frames = list(self.keys), list(self.keys)
+        return own, frames
+
+    def take(self, record: Record) -> None:
+        """Mark the frames whose findings an edit may have changed."""
+        own, frames = self.affected(record)
+        self.mark(frames)
+        self.mark(own, points=True)
+
+    def mark(self, keys: Iterable[Key], *, points: bool = False) -> None:
+        """Mark frames that are to be checked again, with their points or without."""
+        due = self.points_due if points else self.labels_due
+        due |= dict.fromkeys(key for key in keys if key in self._members)
+
+    def _beside(self, key: Key, change: CellEdit) -> Iterator[Key]:
+        """The frames around one that hold the same tracks; of a short track all, as each says how short it is."""
+        drive, row = self.store.drives.locate(key)
+        for track in {value.get("track", "") for value in (change.old, change.new) if value} - {""}:
+            members = self.store.tracks.boxes(drive, track)
+            short = len(members) <= CheckSettings.shortest_track
+            yield from (member.key for member in members if short or abs(member.row - row) <= AROUND)
+
+    def begin(self, key: Key, *, points: bool) -> int:
+        """The check of a frame begins: what is edited from now on marks it anew. The result belongs to this turn."""
+        self.labels_due.pop(key, None)
+        if points:
+            self.points_due.pop(key, None)
+        self._turns[key] = self._turns.get(key, 0) + 1
+        return self._turns[key]
+
+    def check(self, key: Key, *, points: bool) -> list[LabelIssue]:
+        """Check one frame; one that cannot be checked has that as its only finding, whatever went wrong."""
+        before = self.issues.get(key, ())
+        try:
+            issues = self._check_frame(key, points, before)
+        except Exception as error:  # noqa: BLE001 - one frame's fault ends no check of the others
+            reason = str(error)
+            if not isinstance(error, FarfieldError | OSError):
+                _LOG.exception("checking frame %s", "/".join(key))
+                reason = f"the check met an error of its own ({type(error).__name__})"
+            sentence = f"The frame cannot be checked: {reason}"
+            return [LabelIssue(check=_UNREADABLE, severity="error", sentence=sentence, frame=key, box=None)]
+        return issues if points else [*(issue for issue in before if issue.check == _UNREADABLE), *issues]
+
+    def end(self, key: Key, turn: int, issues: list[LabelIssue], *, points: bool) -> bool:
+        """Take the findings of a frame, unless a later check of it has begun; whether they are taken."""
+        if self._turns.get(key) != turn:
+            self.mark([key] if points else [], points=True)  # the later one may have looked at no points
+            return False
+        self.issues[key] = issues
+        if not points and any(issue.check == _UNREADABLE for issue in issues):
+            self.mark([key], points=True)  # whether it still is
+        return True
 
 
 FEWEST = 200

@@ -15,8 +15,11 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from farfield.annotation.errors import JournalError, JournalHeldError
+from farfield.annotation.errors import JournalError, JournalHeldError, RefusedError
 from farfield.datasets.edits import JOURNAL, CellEdit, Record, decode, encode, read_journal
+from farfield.datasets.edits.journal import LONGEST_LINE
+from farfield.errors import FarfieldError
+from farfield.files.limits import open_file
 
 try:
     import fcntl
@@ -32,13 +35,15 @@ class EditJournal:
     Args:
         folder: Its folder, see :func:`farfield.datasets.edits.journal_folder`.
         take: Called with each edit that the file holds, in order, while it is opened.
+        failed: Called where edits that were taken could not be written, before anybody is told.
 
     Raises:
         JournalHeldError: If another process has it open.
         FileFormatError: If a line before the last is damaged.
     """
 
-    def __init__(self, folder: Path, take: Take) -> None:
+    def __init__(self, folder: Path, take: Take, failed: Callable[[], None] = lambda: None) -> None:
+        self._failed = failed
         self.folder, self.path = folder, folder / JOURNAL
         folder.mkdir(parents=True, exist_ok=True)
         self._held = hold(folder)
@@ -88,6 +93,13 @@ class EditJournal:
         """Why no more edits are taken; empty while all is well."""
         return self._failure
 
+    def replay(self) -> None:
+        """Hand on the edits that are on the disk once more, after a failure: they are all that there is."""
+        with self._changed:
+            self._ids.clear()
+            replay = read_journal(self.path, self._replayed)
+            self._starts, self._end = replay.starts, replay.end
+
     def seq_of(self, name: str) -> int | None:
         """Number of the edit that a client called so; None if there is none."""
         return self._ids.get(name)
@@ -113,6 +125,7 @@ class EditJournal:
 
         Raises:
             JournalError: If the journal is closed or could not be written before.
+            RefusedError: If its line would be longer than the journal's reader takes.
             ValueError: If a number is not finite, or the id was used before.
         """
         with self._changed:
@@ -123,6 +136,13 @@ class EditJournal:
             seq = len(self._starts) + 1
             record = Record(seq, id, time.time_ns(), by, window, op, tuple(changes), group, tuple(undoes), data)
             line, future = encode(record), Future[Record]()
+            if len(line) > LONGEST_LINE:
+                raise RefusedError(
+                    "long",
+                    f"the edit changes {len(record.changes)} objects at once: {len(line) >> 20} MiB of the journal, "
+                    f"of which one line may hold {LONGEST_LINE >> 20}. Nothing was changed.",
+                    "Do it in several parts, such as some of the frames at a time.",
+                )
             future.set_running_or_notify_cancel()  # whoever waits may go away; the edit stays
             self._take(record)
             self._starts.append(self._end)
@@ -145,7 +165,7 @@ class EditJournal:
             if seq in waiting:
                 return waiting[seq]
             start, end = self._starts[seq - 1], self._starts[seq] if seq < len(self._starts) else self._end
-        with self.path.open("rb") as handle:
+        with open_file(self.path, max_bytes=None) as handle:
             handle.seek(start)
             return decode(handle.read(end - start))
 
@@ -182,6 +202,7 @@ class EditJournal:
                 future.set_result(record)
 
     def _fail(self, error: OSError) -> None:
+        """Take no more edits; whatever was taken in and is not on the disk is no edit."""
         with self._changed:
             self._failure = (
                 f"{self.path}: edits could not be written ({error.strerror or error}). Those that were acknowledged "
@@ -189,8 +210,13 @@ class EditJournal:
             )
             futures = [future for _, _, future in (*self._writing, *self._waiting)]
             self._writing, self._waiting = [], []
-        for future in futures:
-            future.set_exception(JournalError(self._failure))
+        try:
+            self._failed()
+        except (FarfieldError, OSError) as fault:
+            self._failure += f" Nor could the journal be read again: {fault}"
+        finally:  # whatever happens, those that wait are told
+            for future in futures:
+                future.set_exception(JournalError(self._failure))
 
     def close(self) -> None:
         """Write what waits and let the journal go."""

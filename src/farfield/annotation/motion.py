@@ -13,10 +13,13 @@ from jaxtyping import Float
 from farfield.datasets.labels import Numbers
 from farfield.frame import Key
 from farfield.geometry.poses import invert
+from farfield.vocabulary.counts import count_of
 
 Pose = Float[np.ndarray, "4 4"]
 WINDOW_M, WINDOW_S = 1.0, 0.5
 """An object is looked for within 1 m of where its motion takes it, and half of the way that it goes meanwhile."""
+START_M_S = 20.0
+"""An object of which one place is known, and so no speed, is looked for along its heading as far as this takes it."""
 FEWEST_POINTS, LONGEST_BLIND = 3, 5
 """With fewer points over so many frames, an object is lost."""
 BEND = 0.7
@@ -145,11 +148,13 @@ class PropagatedTrack(NamedTuple):
 
     Args:
         boxes: Its boxes, in the frames' order.
-        message: Why it ended before the last frame; empty if it did not.
+        message: Why it ended before the last frame, or where its motion alone placed it; empty if neither happened.
+        predicted: Frames in which its motion alone placed it.
     """
 
     boxes: Mapping[Key, Numbers]
     message: str = ""
+    predicted: frozenset[Key] = frozenset()
 
 
 def propagate(
@@ -158,21 +163,26 @@ def propagate(
     refit: Refit | None = None,
     *,
     later_keyframes: Mapping[Key, Numbers] | None = None,
+    always: bool = False,
 ) -> PropagatedTrack:
     """Carry an object on by constant velocity, fitted again in every frame.
 
     It stops where the object has fewer than 3 points over 5 frames (those are left out), or is found farther from
-    where its motion takes it than three times what is usual (the window).
+    where its motion takes it than three times what is usual (the window). Of one place alone no speed is known: the
+    object may then have gone as far along its heading as at 20 m/s.
 
     Args:
         keyframes: Frames with boxes that a person stands for; the velocity is that of the last 3, nearest last.
         moments: Frames to go on to, the nearest first; backwards in time too.
         refit: Fits the object; None: it goes where its motion takes it.
         later_keyframes: Keyframes among ``moments``: they are kept, and it goes on from them.
+        always: Place it in every frame, by its motion alone where the points do not decide.
     """
     trail = [(moment.time_s, to_world(box, moment)) for moment, box in keyframes][-KEYFRAMES:]
     boxes: dict[Key, Numbers] = {}
     blind: list[Key] = []
+    predicted: set[Key] = set()
+    message = ""
     for moment in moments:
         if later_keyframes and moment.key in later_keyframes:
             trail, blind = [*trail[1 - KEYFRAMES :], (moment.time_s, to_world(later_keyframes[moment.key], moment))], []
@@ -181,23 +191,50 @@ def propagate(
         expected, speed = _expected(trail, moment.time_s)
         window_m = WINDOW_M + WINDOW_S * speed * abs(moment.time_s - trail[-1][0])
         guess = from_world(expected, moment)
-        fit = RefitBox(guess, FEWEST_POINTS) if refit is None else refit(moment.key, guess, window_m)
+        start_m = START_M_S * abs(moment.time_s - trail[-1][0])
+        reach_m = window_m + (start_m if len(trail) == 1 else 0.0)
+        fit = RefitBox(guess, FEWEST_POINTS) if refit is None else refit(moment.key, guess, reach_m)
         # Too few points: coast on the prediction, for 5 frames at most.
         if fit.box is None or fit.points < FEWEST_POINTS:
-            blind.append(moment.key)
             boxes[moment.key] = guess
+            predicted.add(moment.key)
+            if always:
+                message = _predicted_message(
+                    moment.key, f"{count_of(fit.points, 'point is', 'points are')} too few to place the object"
+                )
+                trail = [*trail[1 - KEYFRAMES :], (moment.time_s, expected)]
+                continue
+            blind.append(moment.key)
             if len(blind) == LONGEST_BLIND:
-                return PropagatedTrack(_without(boxes, blind), _lost_message(blind[0]))
+                return PropagatedTrack(_without(boxes, blind), _lost_message(blind[0]), frozenset(predicted))
             continue
         # Farther off than its motion allows: it is another object.
-        off_m = float(np.hypot(fit.box[0] - guess[0], fit.box[1] - guess[1]))
+        off_m = _off_m(fit.box, guess, start_m if len(trail) == 1 else 0.0)
+        if off_m > window_m and always:
+            boxes[moment.key] = guess
+            predicted.add(moment.key)
+            message = _predicted_message(moment.key, f"the points lie {off_m:.1f} m from there")
+            trail = [*trail[1 - KEYFRAMES :], (moment.time_s, expected)]
+            continue
         if off_m > window_m:
-            return PropagatedTrack(_without(boxes, blind), _off_track_message(moment.key, off_m, window_m))
+            return PropagatedTrack(
+                _without(boxes, blind), _off_track_message(moment.key, off_m, window_m), frozenset(predicted)
+            )
         # Update the trail, from which the next velocity is estimated.
         blind = []
         boxes[moment.key] = fit.box
         trail = [*trail[1 - KEYFRAMES :], (moment.time_s, to_world(fit.box, moment))]
-    return PropagatedTrack(_without(boxes, blind), _lost_message(blind[0]) if blind and refit is not None else "")
+    if blind and refit is not None:
+        message = _lost_message(blind[0])
+    return PropagatedTrack(_without(boxes, blind), message, frozenset(predicted))
+
+
+def _off_m(box: Numbers, guess: Numbers, free_m: float) -> float:
+    """How far a box lies from where it is expected, seen from above; along its heading so much is free."""
+    away_m = np.array([box[0] - guess[0], box[1] - guess[1]])
+    ahead = np.array([np.cos(guess[6]), np.sin(guess[6])])
+    along_m = float(away_m @ ahead)
+    return float(np.hypot(max(0.0, abs(along_m) - free_m), np.linalg.norm(away_m - along_m * ahead)))
 
 
 def _expected(trail: Sequence[tuple[float, Numbers]], time_s: float) -> tuple[Numbers, float]:
@@ -219,6 +256,10 @@ def _without(boxes: Mapping[Key, Numbers], blind: Sequence[Key]) -> dict[Key, Nu
 
 def _lost_message(key: Key) -> str:
     return f"The object is lost from frame {key[1]} on: fewer than {FEWEST_POINTS} points in each."
+
+
+def _predicted_message(key: Key, reason: str) -> str:
+    return f"In frame {key[1]} {reason}: the box stands where the motion takes it. Look at it."
 
 
 def _off_track_message(key: Key, off_m: float, window_m: float) -> str:

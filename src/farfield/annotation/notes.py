@@ -85,7 +85,7 @@ def bookmarks(store: Store) -> tuple[Mark, ...]:
     marks = [
         Mark((cell[1], cell[2]), standing.value, standing.by)
         for cell, standing in store.state.of_kind(BOOKMARK)
-        if standing.value is not None
+        if standing.value is not None and cell[1:3] in store.index_of  # a frame may have gone
     ]
     return tuple(sorted(marks, key=partial(_place, store)))
 

@@ -7,25 +7,46 @@ back, keep their bytes.
 import os
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from farfield.annotation.label_files import digest
+from farfield.annotation.journal import LOCK
+from farfield.annotation.label_files import ORIGINAL, digest
+from farfield.annotation.schema import SCHEMA
 from farfield.annotation.store import Author, EditResult, Store, no_change
+from farfield.datasets.edits import JOURNAL
 from farfield.datasets.labels import BoxLabel, LabelFormat
-from farfield.datasets.labels.formats import label_files_in
+from farfield.datasets.labels.formats import forms_in_a_folder, label_files_in
 from farfield.errors import ConfigError
-from farfield.files.atomic import read_bytes, write_bytes, write_text
+from farfield.files.atomic import move_into_place, read_bytes, write_bytes, write_text
+from farfield.files.locking import locked_part
+from farfield.files.outputs import check_writable
 from farfield.frame import Key
+from farfield.vocabulary.counts import count_of
 
 SAVE = "save"
-FORMATS = ("boxes-csv", "openlabel", "sustechpoints", "cvat")
+FORMATS = forms_in_a_folder()
 """In which labels of any data set can be saved, beside its own."""
 MARK = ".farfield-saved"
 WRITTEN = ("edited", "accepted")
 """States of boxes that label files get; proposals that nobody accepted, and rejected ones, stay in the journal."""
+
+
+class UnwrittenBox(NamedTuple):
+    """A box that its label file cannot hold: that file keeps what it held, and the journal keeps the box.
+
+    Args:
+        key: The frame.
+        name: The box; empty where no single one is to blame.
+        sentence: Why.
+    """
+
+    key: Key
+    name: str
+    sentence: str
 
 
 class SavedLabels(NamedTuple):
@@ -35,19 +56,43 @@ class SavedLabels(NamedTuple):
         folder: Where.
         files: The files that were written; those that hold the right bytes already are left alone.
         edit: The journal's note of it.
+        unwritten: Boxes for which a file was left as it was.
     """
 
     folder: Path
     files: tuple[Path, ...]
     edit: EditResult
+    unwritten: tuple[UnwrittenBox, ...] = ()
 
 
 class SaveSummary(NamedTuple):
-    """What a save wrote: how many files, where in words, the number of the journal's note."""
+    """What a save wrote: how many files, where in words, the number of the journal's note, and what it could not."""
 
     files: int
     folder: str
     seq: int
+    unwritten: tuple[UnwrittenBox, ...] = ()
+
+
+class UnwrittenError(ConfigError):
+    """Some boxes cannot be written in the format; all other label files were written.
+
+    Args:
+        summary: What was written, and which boxes were not.
+    """
+
+    def __init__(self, summary: SaveSummary) -> None:
+        self.summary = summary
+        lines = [f"frame {'/'.join(key)}, box {name or '?'}: {text}" for key, name, text in summary.unwritten[:5]]
+        more = f" and {len(summary.unwritten) - 5} more" if len(summary.unwritten) > 5 else ""
+        super().__init__(
+            f"{count_of(len(summary.unwritten), 'box', 'boxes')} could not be "
+            "written; their label files stay as they were, and "
+            f"{summary.files} others were written: {'; '.join(lines)}{more}"
+        )
+
+    def __reduce__(self) -> tuple[type["UnwrittenError"], tuple[SaveSummary]]:
+        return UnwrittenError, (self.summary,)
 
 
 def save(
@@ -64,19 +109,55 @@ def save(
         format: Another format than the labels' own; empty for their own.
 
     Raises:
-        FarfieldError: If a box cannot be written in the format, or the folder holds something else.
+        UnwrittenError: If boxes cannot be written in the format, once the files of all others are written.
+        FarfieldError: If the folder holds something else, or cannot be written to.
     """
-    if folder is not None:
-        target = _sibling(store, folder, target)
+    target = save_sibling(store, folder, target)
+    try:
+        summary = _saved(store, author, id, target, format)
+    except OSError as error:
+        reason = f"{error.strerror or error}{f' ({Path(str(error.filename)).name})' if error.filename else ''}"
+        fix = "Make room, or name a folder that can be written to, and save again: the journal has all edits."
+        raise ConfigError(f"save: the label files could not be written: {reason}. {fix}") from error
+    if summary.unwritten:
+        raise UnwrittenError(summary)
+    return summary
+
+
+def _saved(store: Store, author: Author, id: str, target: Path | None, format: str) -> SaveSummary:
     if format and format != store.files.format.name:
-        export = (target or store.folder / "saved") / f"labels-{format}"
-        paths = export_labels(store, _label_files(store, export, format), store.keys)
-        return SaveSummary(len(paths), export.name, store.state.seq)
-    if target is None:
+        saved = save_as(store, author, id, save_folder_of(store, target, format), format)
+    elif target is None:
         saved = save_in_place(store, author, id)
-        return SaveSummary(len(saved.files), "the data set's label files", saved.edit.record.seq)
-    saved = save_copy(store, author, id, target)
-    return SaveSummary(len(saved.files), target.name, saved.edit.record.seq)
+    else:
+        saved = save_copy(store, author, id, target)
+    folder = save_words(store, target, format)
+    return SaveSummary(len(saved.files), folder, saved.edit.record.seq, saved.unwritten)
+
+
+def save_folder_of(store: Store, target: Path | None, format: str) -> Path:
+    """The folder of labels in another format than their own, in the usual one or beside the journal."""
+    return (target or store.folder / "saved") / f"labels-{format}"
+
+
+def save_words(store: Store, target: Path | None, format: str) -> str:
+    """Where a save goes, in words; arguments as of :func:`save`."""
+    if format and format != store.files.format.name:
+        return save_folder_of(store, target, format).name
+    return "the data set's label files" if target is None else target.name
+
+
+def unwritten_in(store: Store, *, target: Path | None, folder: str | None = None, format: str = "") -> int:
+    """How many edits of boxes the label files of a save lack; arguments as of :func:`save`."""
+    target, own = save_sibling(store, folder, target), store.files.format.name
+    if format and format != own:
+        return store.unwritten_in(_noted(save_folder_of(store, target, format)), format)
+    return store.unwritten_in("" if target is None else _noted(target), own)
+
+
+def _noted(folder: Path) -> str:
+    """A folder as the journal's note of a save has it."""
+    return str(folder.resolve())
 
 
 def save_target(store: Store, out: Path | None, *, write: bool = False) -> Path | None:
@@ -92,13 +173,31 @@ def save_target(store: Store, out: Path | None, *, write: bool = False) -> Path 
     return None if write else save_place(store)
 
 
-def _sibling(store: Store, name: str, target: Path | None) -> Path:
-    """A folder of a name beside the usual one, never outside of it."""
+def save_sibling(store: Store, name: str | None, target: Path | None) -> Path | None:
+    """A folder of a name beside the usual one, never outside of it; the usual one without a name.
+
+    Raises:
+        ConfigError: If the name is that of no folder.
+    """
+    if name is None:
+        return target
     parent = (target.parent if target is not None else store.folder).resolve()
     folder = (parent / name).resolve()
     if re.fullmatch(r"\.+", name) or not folder.is_relative_to(parent) or folder == parent:
         raise ConfigError(f"save: expected the name of a folder, got {name!r}")
+    if _holds_own_files(store, folder):
+        raise ConfigError(f"save: expected the name of a folder, got {name!r}, which the studio needs. Choose another.")
     return folder
+
+
+def _holds_own_files(store: Store, folder: Path) -> bool:
+    """Whether a folder is the journal's or a name within it that the annotation itself uses, in any case of letters."""
+    journal = store.folder.resolve()
+    if not folder.is_relative_to(journal) or folder == journal:
+        return journal.is_relative_to(folder)
+    first = folder.relative_to(journal).parts[0].casefold()
+    labels = {path.name.casefold() for path in store.files.keys_of if path.parent == store.folder}
+    return first in {ORIGINAL, LOCK, SCHEMA, *labels} or first.startswith(JOURNAL)
 
 
 def _label_files(store: Store, folder: Path, format: str) -> LabelFormat:
@@ -146,16 +245,59 @@ def rendered(store: Store, path: Path, keys: Sequence[Key]) -> bytes | None:
     return store.files.format.render(before, path, labels)
 
 
-def changed_files(store: Store) -> dict[Path, bytes | None]:
-    """Files whose bytes differ from what stands on the disk, with the bytes that they are to get (None: no file)."""
+class _RenderedFiles(NamedTuple):
+    """The bytes that files are to get (None: no file), boxes for which one cannot be made, and up to which edit."""
+
+    files: dict[Path, bytes | None]
+    unwritten: list[UnwrittenBox]
+    seq: int
+
+
+def _rendered_files(store: Store) -> _RenderedFiles:
+    """The files with edits."""
     files: dict[Path, bytes | None] = {}
+    unwritten: list[UnwrittenBox] = []
     with store.lock:
+        store.check_whole()
         for path, keys in store.files.of(store.state.frames()).items():
-            data = rendered(store, path, keys)
-            present = read_bytes(path) if path.is_file() else None
-            if data != present:
-                files[path] = data
-    return files
+            try:
+                files[path] = rendered(store, path, keys)
+            except ConfigError as error:
+                labels = {
+                    key: [label for label in written_labels(store, key) if label.id in store.state.touched(key)]
+                    for key in keys
+                }
+                unwritten += _unwritten(store.files.format, path, labels, error)
+        return _RenderedFiles(files, unwritten, store.state.seq)
+
+
+def _unwritten(
+    format: LabelFormat, path: Path, labels: Mapping[Key, Sequence[BoxLabel]], error: ConfigError
+) -> list[UnwrittenBox]:
+    """The boxes that keep a file from being made: those that cannot be written alone; else the frames as they are."""
+    boxes: list[UnwrittenBox] = []
+    for key, label in ((key, label) for key, rows in labels.items() for label in rows):
+        try:
+            format.render(None, path, {key: [replace(label, id="n0")]})
+        except ConfigError as fault:
+            boxes.append(UnwrittenBox(key, label.id, str(fault)))
+    return boxes or [UnwrittenBox(next(iter(labels)), "", str(error))]
+
+
+def _note(
+    store: Store, author: Author, id: str, rendered_files: _RenderedFiles, where: str, format: str, **data: object
+) -> EditResult:
+    """Note in the journal up to which edit the labels are written, where, in which format, and what is left out."""
+    written = {"seq": rendered_files.seq, "folder": where, "format": format, "left": len(rendered_files.unwritten)}
+    with store.lock:
+        note = store.edit(author, _free_id(store, id), SAVE, no_change, data={"written": written, **data})
+    note.saved.result()
+    return note
+
+
+def _free_id(store: Store, id: str) -> str:
+    """The name of a save's note: a save that comes again writes what is there now, and is noted once more."""
+    return id if store.journal.seq_of(id) is None else f"{id[:48]}.{store.state.seq + 1}"
 
 
 def save_in_place(store: Store, author: Author, id: str) -> SavedLabels:
@@ -169,22 +311,29 @@ def save_in_place(store: Store, author: Author, id: str) -> SavedLabels:
         author: Who saves.
         id: The client's name of the save.
 
+    Returns:
+        What was written. A file whose boxes cannot all be written stays as it was, and the boxes are named.
+
     Raises:
-        ConfigError: If a box cannot be written in the data set's format.
         DatasetError: If a file was changed by another program.
         OSError: If a file cannot be written.
     """
     with store.saving:
         with store.lock:  # editing goes on while the files are written
-            files = changed_files(store)
+            rendered_files = _rendered_files(store)
+            present = {path: read_bytes(path) if path.is_file() else None for path in rendered_files.files}
+            files = {path: data for path, data in rendered_files.files.items() if data != present[path]}
             for path in files:
                 store.files.keep_original(path)
             states = {store.files.relative(path): digest(data) for path, data in files.items()}
-            note = store.edit(author, id, SAVE, no_change, data={"files": states} if states else None)
-        note.saved.result()
+            if states:
+                note = store.edit(author, _free_id(store, id), SAVE, no_change, data={"files": states})
+        if states:
+            note.saved.result()
         for path, data in files.items():
             _write_or_remove(path, data)
-    return SavedLabels(store.files.root, tuple(files), note)
+        note = _note(store, author, id, rendered_files, "the data set's label files", store.files.format.name)
+    return SavedLabels(store.files.root, tuple(files), note, tuple(rendered_files.unwritten))
 
 
 def save_copy(store: Store, author: Author, id: str, folder: Path) -> SavedLabels:
@@ -196,27 +345,75 @@ def save_copy(store: Store, author: Author, id: str, folder: Path) -> SavedLabel
         id: The client's name of the save.
         folder: A folder that is new, empty, or of an earlier save of this data set.
 
+    Returns:
+        What was written. A file whose boxes cannot all be written is left out, or as it was, and the boxes are named.
+
     Raises:
-        ConfigError: If the folder holds something else, or a box cannot be written in the data set's format.
+        ConfigError: If the folder holds something else.
     """
     with store.saving:
         _claim(folder, store)
+        rendered_files = _rendered_files(store)
         touched = store.files.of(store.state.frames())
         written = [
             path
             for path in store.files.keys_of
-            if _updated(folder / store.files.relative(path), _current(store, path, touched.get(path)))
+            if (path in rendered_files.files or path not in touched)
+            and _updated(folder / store.files.relative(path), _current(store, path, rendered_files.files))
         ]
         if written:
             sync()
-        note = store.edit(author, id, SAVE, no_change, data={"folder": str(folder), "count": len(written)})
+        data = {"folder": _noted(folder), "count": len(written)}
+        note = _note(store, author, id, rendered_files, folder.name, store.files.format.name, **data)
         written = [folder / store.files.relative(path) for path in written]
-    return SavedLabels(folder, tuple(written), note)
+    return SavedLabels(folder, tuple(written), note, tuple(rendered_files.unwritten))
 
 
-def _current(store: Store, path: Path, keys: Sequence[Key] | None) -> bytes | None:
+def save_as(store: Store, author: Author, id: str, folder: Path, format: str) -> SavedLabels:
+    """Write all frames in another format, into files of their own.
+
+    Args:
+        store: The annotation.
+        author: Who saves.
+        id: The client's name of the save.
+        folder: Where the files go.
+        format: One of :data:`FORMATS`.
+
+    Returns:
+        What was written. A file whose boxes cannot all be written is left out, or as it was, and the boxes are named.
+
+    Raises:
+        ConfigError: If there is no such format.
+    """
+    labels = _label_files(store, folder, format)
+    with store.saving:
+        with store.lock:
+            frames = {key: written_labels(store, key) for key in store.keys}
+            rendered_files = _RenderedFiles({}, [], store.state.seq)
+        parts: dict[Path, dict[Key, Sequence[BoxLabel]]] = {}
+        for key, rows in frames.items():
+            parts.setdefault(labels.path(key), {})[key] = rows
+        for path, part in parts.items():
+            try:
+                rendered_files.files[path] = labels.render(None, path, _as_new(part))
+            except ConfigError as error:
+                rendered_files.unwritten.extend(_unwritten(labels, path, part, error))
+        for path, data in rendered_files.files.items():
+            _write_or_remove(path, data)
+        count = len(rendered_files.files)
+        note = _note(store, author, id, rendered_files, folder.name, format, folder=_noted(folder), count=count)
+    return SavedLabels(folder, tuple(rendered_files.files), note, tuple(rendered_files.unwritten))
+
+
+def _as_new(frames: Mapping[Key, Sequence[BoxLabel]]) -> dict[Key, Sequence[BoxLabel]]:
+    """Boxes under the names that a file gives those that are new to it."""
+    return {key: [replace(label, id=f"n{row}") for row, label in enumerate(rows)] for key, rows in frames.items()}
+
+
+def _current(store: Store, path: Path, rendered_files: Mapping[Path, bytes | None]) -> bytes | None:
     with store.lock:
-        return store.files.before(path) if keys is None else rendered(store, path, keys)
+        store.check_whole()
+        return rendered_files[path] if path in rendered_files else store.files.before(path)
 
 
 def _updated(target: Path, data: bytes | None) -> bool:
@@ -229,9 +426,14 @@ def _updated(target: Path, data: bytes | None) -> bool:
         target.unlink()
     elif differs and data is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
-        partial = target.with_name(f".{target.name[:100]}.part")
-        partial.write_bytes(data)
-        partial.replace(target)
+        partial, handle = locked_part(target)  # nobody could lay a link in its place
+        try:
+            with open(handle, "wb", closefd=False) as file:
+                file.write(data)
+            move_into_place(partial, target)
+        finally:
+            os.close(handle)
+            partial.unlink(missing_ok=True)
     return differs
 
 
@@ -258,10 +460,9 @@ def export_labels(store: Store, labels: LabelFormat, keys: Sequence[Key]) -> tup
     parts: dict[Path, dict[Key, Sequence[BoxLabel]]] = {}
     with store.lock:
         for key in keys:
-            rows = enumerate(written_labels(store, key))
-            parts.setdefault(labels.path(key), {})[key] = [replace(label, id=f"n{row}") for row, label in rows]
+            parts.setdefault(labels.path(key), {})[key] = written_labels(store, key)
     for path, labels_of in parts.items():
-        _write_or_remove(path, labels.render(None, path, labels_of))
+        _write_or_remove(path, labels.render(None, path, _as_new(labels_of)))
     return tuple(parts)
 
 
@@ -275,8 +476,11 @@ def save_place(store: Store) -> Path | None:
         return None
     root = store.files.root
     beside = root.with_name(f"{root.name}-edited")
-    inside = store.folder.parent == root.resolve() and os.access(root.resolve().parent, os.W_OK)
-    return beside if inside else store.folder / "saved"
+    if store.folder.parent == root.resolve():
+        with suppress(OSError, ConfigError):  # read-only, full, or something else of the name
+            check_writable(beside.resolve())
+            return beside
+    return store.folder / "saved"
 
 
 def _write_or_remove(path: Path, data: bytes | None) -> None:

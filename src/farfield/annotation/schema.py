@@ -4,7 +4,7 @@ It stands as ``classes.yaml`` beside the journal and may be edited by hand::
 
     extent: full            # boxes are whole bodies; or: visible
     classes:
-      Sedan: {size_m: [4.61, 2.18, 1.91]}
+      Sedan: {size_m: [4.61, 2.18, 1.91], source: median of 57 boxes}
       Bus or Truck: {size_m: [10.11, 3.07, 3.68], types: {van: [5.0, 2.0, 2.2]}}
 
 Attributes:
@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from farfield.datasets.labels import Value
 from farfield.errors import ConfigError, fault_of, plain
 from farfield.files.atomic import read_bytes, write_text
-from farfield.files.yaml_text import plain_yaml
+from farfield.files.yaml_text import MAX_BYTES, PlainSettings, plain_yaml
 from farfield.vocabulary.classes import (
     CIRRUS_CLASSES,
     CIRRUS_FROM_ANY_KRADAR,
@@ -31,32 +31,31 @@ from farfield.vocabulary.classes import (
     CIRRUS_FROM_KRADAR,
     CIRRUS_FROM_VIEW_OF_DELFT,
     CIRRUS_SIZES_M,
-    KRADAR_FROM_CIRRUS,
+    FORMAT_SIZES,
     SMALL_KINDS,
     VEHICLE_KINDS,
 )
 
 SCHEMA = "classes.yaml"
-MAX_BYTES = 1 << 20
 Extent = Literal["full", "visible"]
 _Length = Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)]
 Size = tuple[_Length, _Length, _Length]
 
 
-class ClassSettings(BaseModel):
+class ClassSettings(PlainSettings):
     """One class.
 
     Attributes:
         size_m: Usual length, width and height.
         types: Kinds within it with sizes of their own, such as vans.
         fastest_m_s: Speed over ground beyond which something is wrong.
+        source: Where the size is from; empty where nobody said.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     size_m: Size
-    types: dict[str, Size] = {}
+    types: dict[str, Size] = Field(default_factory=dict)
     fastest_m_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 60.0
+    source: Annotated[str, Field(max_length=200)] = ""
 
 
 class AttributeSettings(BaseModel):
@@ -77,14 +76,16 @@ class Schema(BaseModel):
     classes: dict[str, ClassSettings]
     attributes: dict[str, AttributeSettings] = {}
 
-    def fault(self, name: str, value: Value) -> str:
+    def fault(self, name: str, value: Value | int) -> str:
         """What is wrong with an attribute's value; empty if nothing is."""
         settings = self.attributes.get(name)
         if settings is None:
             return f"attribute {name!r}: expected one of {', '.join(self.attributes) or 'none'}"
         if settings.values:
             values = ", ".join(map(str, settings.values))
-            return "" if value in settings.values else f"{name}: expected one of {values}, got {value!r}"
+            flag = isinstance(value, bool)  # Python takes 1 for True
+            there = any(value == one and isinstance(one, bool) == flag for one in settings.values)
+            return "" if there else f"{name}: expected one of {values}, got {value!r}"
         kinds: dict[str, type | tuple[type, ...]] = {"text": str, "number": (int, float), "flag": bool}
         right = isinstance(value, kinds[settings.kind]) and (settings.kind == "flag" or not isinstance(value, bool))
         return "" if right else f"{name}: expected a {settings.kind}, got {value!r}"
@@ -128,7 +129,7 @@ def load_schema(folder: Path, default: Schema) -> Schema:
         return default
     try:
         return Schema.model_validate(plain_yaml(read_bytes(path, max_bytes=MAX_BYTES)))
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+    except yaml.YAMLError as error:
         raise ConfigError(f"{path}: expected YAML, got {plain(error)}") from error
     except ValidationError as error:
         lines = [f"{'.'.join(map(str, item['loc'])) or 'the file'}: {fault_of(item)}" for item in error.errors()[:5]]
@@ -155,11 +156,13 @@ class ClassPreset(NamedTuple):
         name: Its name.
         size_m: Usual length, width, height.
         types: Sizes of kinds within the class.
+        source: Where the size is from.
     """
 
     name: str
     size_m: tuple[float, float, float]
     types: Mapping[str, tuple[float, float, float]]
+    source: str = ""
 
 
 def cirrus_class(name: str) -> str:
@@ -171,28 +174,41 @@ def cirrus_class(name: str) -> str:
     return name if name in CIRRUS_CLASSES else _SPELLINGS.get(name, name)
 
 
-def preset_size(name: str) -> tuple[float, float, float]:
-    """Usual size of a class or of a type of vehicle; a car's for an unknown name."""
+OUR_SIZES = "Farfield's usual size"
+
+
+def usual_size(name: str, format_name: str = "") -> tuple[tuple[float, float, float], str]:
+    """Usual size of a class or of a type of vehicle, and where it is from; a car's for an unknown name.
+
+    Args:
+        name: The class.
+        format_name: The data set's format, whose published sizes come first.
+    """
+    published = FORMAT_SIZES.get(format_name)
+    size_m = published and (published.sizes_m.get(name) or published.sizes_m.get(cirrus_class(name)))
+    if published and size_m:
+        return size_m, published.source
     size_m = VEHICLE_KINDS.get(name) or SMALL_KINDS.get(name)
-    return size_m or CIRRUS_SIZES_M.get(cirrus_class(name), CIRRUS_SIZES_M["vehicle"])
+    return size_m or CIRRUS_SIZES_M.get(cirrus_class(name), CIRRUS_SIZES_M["vehicle"]), OUR_SIZES
 
 
-def class_preset(name: str, size_of: str = "") -> ClassPreset:
+def class_preset(name: str, format_name: str = "") -> ClassPreset:
     """A class by its name, with the types of large vehicles.
 
     Args:
         name: Its name.
-        size_of: The class whose usual size it has, such as K-Radar's name of it; its own unless given.
+        format_name: The data set's format, as of :func:`usual_size`.
     """
     types = {kind: VEHICLE_KINDS[kind] for kind in _TYPES} if cirrus_class(name) == "large_vehicle" else {}
-    return ClassPreset(name, preset_size(size_of or name), types)
+    size_m, source = usual_size(name, format_name)
+    return ClassPreset(name, size_m, types, source)
 
 
 def shown_classes(format_name: str, classes: Sequence[str] = ()) -> tuple[ClassPreset, ...]:
     """The classes of a data set that is looked at, in Cirrus's words.
 
     Args:
-        format_name: Its format; K-Radar's own sizes differ from Cirrus'.
+        format_name: Its format, whose published sizes are taken.
         classes: ``name:length,width,height`` of classes to offer instead.
 
     Raises:
@@ -200,11 +216,7 @@ def shown_classes(format_name: str, classes: Sequence[str] = ()) -> tuple[ClassP
     """
     if classes:
         return tuple(_parse_class(text) for text in classes)
-    kradar = format_name == "kradar"
-    return tuple(
-        class_preset(name, KRADAR_FROM_CIRRUS.get(name, name) if kradar and name != "trailer" else name)
-        for name in CIRRUS_SIZES_M
-    )
+    return tuple(class_preset(name, format_name) for name in CIRRUS_SIZES_M)
 
 
 def annotated_classes(format_name: str, classes: Sequence[str] = ()) -> tuple[ClassPreset, ...]:
@@ -212,7 +224,7 @@ def annotated_classes(format_name: str, classes: Sequence[str] = ()) -> tuple[Cl
     names = _OWN_WORDS.get(format_name)
     if classes or names is None:
         return shown_classes(format_name, classes)
-    return tuple(map(class_preset, names))
+    return tuple(class_preset(name, format_name) for name in names)
 
 
 def _parse_class(text: str) -> ClassPreset:
@@ -223,4 +235,4 @@ def _parse_class(text: str) -> ClassPreset:
         raise ConfigError(f"classes: expected name:length,width,height in metres, got {text!r}") from None
     if not name or not all(0 < value <= 60 for value in (length, width, height)):
         raise ConfigError(f"classes: expected a name and sizes up to 60 m, got {text!r}")
-    return ClassPreset(name, (length, width, height), {})
+    return ClassPreset(name, (length, width, height), {}, "given with --classes")

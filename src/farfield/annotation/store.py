@@ -1,6 +1,8 @@
 """The annotation of a data set as it stands: label files with the edits on top, versions, undo."""
 
 import threading
+from array import array
+from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -9,12 +11,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from farfield.annotation.drives import DriveTable, TrackIndex
-from farfield.annotation.errors import ConflictError, RefusedError
+from farfield.annotation.errors import ConflictError, JournalError, RefusedError
 from farfield.annotation.journal import EditJournal
 from farfield.annotation.label_files import LabelFiles
 from farfield.annotation.schema import Extent, Schema, load_schema
 from farfield.datasets.base import Dataset
 from farfield.datasets.edits import Cell, CellEdit, EditState, Record, box_cell, label_of, numbers, value_of
+from farfield.datasets.edits.journal import check_values
 from farfield.datasets.labels import BoxLabel, LabelFormat, Numbers
 from farfield.frame import Key
 
@@ -58,6 +61,24 @@ class EditResult(NamedTuple):
     repeated: bool = False
 
 
+class WrittenLabels(NamedTuple):
+    """What label files hold: the last save.
+
+    Args:
+        seq: Edits up to this one.
+        time_ns: When.
+        folder: Where, in words.
+        format: In which format.
+        left: Boxes that the format cannot hold: they are in the journal only.
+    """
+
+    seq: int
+    time_ns: int
+    folder: str
+    format: str
+    left: int = 0
+
+
 Plan = Callable[["Store"], Sequence[CellEdit]]
 """What an edit changes, found from the store as it stands; raises where the edit is not possible."""
 
@@ -81,22 +102,68 @@ class Store:
         self.keys = data.keys
         self.index_of = {key: index for index, key in enumerate(self.keys)}
         self.drives = DriveTable(data)
-        self.files = LabelFiles(labels, self.keys, folder, data.root)
-        self.state, self.history = EditState(), History()
-        self.tracks = TrackIndex(self.rows, self.drives)
         self.lock, self.saving = threading.RLock(), threading.Lock()
-        self.journal = EditJournal(folder, self._take)
+        self._labels, self._is_whole = labels, True
+        self._begin()
+        self.journal = EditJournal(folder, self._take, self._as_stored)
         try:
             self.schema = load_schema(folder, schema)
         except BaseException:
             self.journal.close()
             raise
 
+    def _begin(self) -> None:
+        """The annotation before the first edit."""
+        self.files = LabelFiles(self._labels, self.keys, self.folder, self.data.root)
+        self.state, self.history = EditState(), History()
+        self.tracks = TrackIndex(self.rows, self.drives)
+        self.written: WrittenLabels | None = None
+        self._written_to: dict[tuple[str, str], int] = {}  # by folder and format: up to which edit
+        self._box_edits = array("q")  # numbers of the edits of boxes
+
+    def _as_stored(self) -> None:
+        """After the journal failed: the annotation is what is on the disk, without the edits that were lost."""
+        with self.lock:
+            self._is_whole = False
+            self._begin()
+            self.journal.replay()
+            self._is_whole = True
+
+    def check_whole(self) -> None:
+        """Refuse to go on with a part of the annotation, where the journal failed and could not be read again.
+
+        Raises:
+            JournalError: If it is so.
+        """
+        if not self._is_whole:
+            raise JournalError(self.journal.failure)
+
     def _take(self, record: Record) -> None:
+        check_values(record)
         self.history.take(record)
         self.state.apply(record)
         self.files.take(record)
         self.tracks.take(record)
+        if any(change.cell[0] == "box" for change in record.changes):
+            self._box_edits.append(record.seq)
+        saved = (record.data or {}).get("written")
+        if saved is not None:
+            self.written = WrittenLabels(time_ns=record.time_ns, **saved)
+            target = str((record.data or {}).get("folder", "")), self.written.format
+            self._written_to[target] = max(self.written.seq, self._written_to.get(target, 0))
+
+    @property
+    def unwritten(self) -> int:
+        """How many edits of boxes are in the journal only: no label file has them."""
+        return self._box_edits_after(max(self._written_to.values(), default=0))
+
+    def unwritten_in(self, folder: str, format: str) -> int:
+        """How many edits of boxes the labels in a folder and format lack; the empty folder: in their places."""
+        return self._box_edits_after(self._written_to.get((folder, format), 0))
+
+    def _box_edits_after(self, seq: int) -> int:
+        with self.lock:
+            return len(self._box_edits) - bisect_right(self._box_edits, seq)
 
     @property
     def extent(self) -> Extent | None:
@@ -110,8 +177,10 @@ class Store:
         Raises:
             DatasetError: If there is no such frame, or its file was changed by another program.
             FileFormatError: If its file is damaged.
+            JournalError: If the journal failed and could not be read again.
         """
         with self.lock:
+            self.check_whole()
             touched = self.state.touched(key)
             rows = {label.id: StoredBox(label) for label in self.files.labels(key) if label.id not in touched}
             for name, standing in touched.items():

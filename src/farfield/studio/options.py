@@ -1,5 +1,6 @@
 """What a studio is started with: the data set that it opens, and its settings."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -54,6 +55,7 @@ class StudioSettings:
         out: Folder into which labels are saved; beside the journal unless given.
         to: Format of the saved labels; the data set's own unless given.
         write: Whether saves go into the data set's own label files.
+        save_at_exit: Whether labels are also written when the studio ends, wherever saves go.
         notes: Folder for bookmarks; the user's data folder unless given.
         calibration: Of a calibration page.
     """
@@ -73,6 +75,7 @@ class StudioSettings:
     out: Path | None = None
     to: str = ""
     write: bool = False
+    save_at_exit: bool = False
     notes: Path | None = None
     calibration: CalibrationSettings | None = None
 
@@ -82,11 +85,12 @@ class DatasetOpener:
 
     Args:
         path: Folder of a data set, or None.
-        **options: Of ``open_dataset``; empty ones are left out.
+        open_path: Opens the folder, such as ``open_dataset``.
+        **options: Of ``open_path``.
     """
 
-    def __init__(self, path: Path | None, **options: Any) -> None:
-        self.path, self.options = path, {name: value for name, value in options.items() if value}
+    def __init__(self, path: Path | None, open_path: "Callable[..., Dataset]", **options: Any) -> None:
+        self.path, self.open_path, self.options = path, open_path, options
 
     @property
     def title(self) -> str:
@@ -103,6 +107,4 @@ class DatasetOpener:
             from farfield.studio.samples import open_samples
 
             return open_samples()
-        from farfield.datasets import open_dataset
-
-        return open_dataset(self.path, **self.options)
+        return self.open_path(self.path, **self.options)

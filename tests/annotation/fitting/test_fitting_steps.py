@@ -1,12 +1,14 @@
 """The steps of a fit by themselves: ground, cluster, L-shape, anchoring, search."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fitting_scenes import CAR, road, scene, sides
 
-from farfield.annotation.fitting import prior_of
+from farfield.annotation.fitting import fit_radar_peak, prior_of
 from farfield.annotation.fitting.boxes import cluster_at, link_radius_m
-from farfield.annotation.fitting.ground import fit_ground, points_above
+from farfield.annotation.fitting.ground import fit_ground, ground_ahead, points_above
 from farfield.annotation.fitting.prior import Prior, along_length, footprint
 from farfield.annotation.fitting.search import best_yaw, refine_yaw, scores, search
 from farfield.vocabulary.classes import SMALL_KINDS, VEHICLE_KINDS
@@ -32,6 +34,34 @@ def test_a_wall_of_lowest_points_does_not_lift_the_ground(rng: np.random.Generat
     wall = np.column_stack([rng.uniform(-15, 15, 4000), np.full(4000, 6.0), rng.uniform(-1.0, 3.0, 4000)])
     ground = fit_ground(np.concatenate([road(rng), wall]), (0.0, 0.0))
     assert ground.z_m(0.0, 0.0) == pytest.approx(-1.9, abs=0.05)
+
+
+def far_scene(rng: np.random.Generator, slope: float) -> np.ndarray:
+    """A road seen up to 45 m, and beyond it only what stands on it, from 0.4 m up."""
+    at = np.column_stack([rng.uniform(3, 45, 4000), rng.uniform(-15, 15, 4000)])
+    beyond = np.column_stack([rng.uniform(40, 115, 600), rng.uniform(-15, 15, 600)])
+    height = np.append(rng.normal(0, 0.02, len(at)), rng.uniform(0.4, 2.5, len(beyond)))
+    points = np.concatenate([at, beyond])
+    return np.column_stack([points, -1.8 + slope * points[:, 0] + height])
+
+
+@pytest.mark.parametrize("slope", [-0.015, 0.0, 0.01])
+def test_far_away_the_ground_lies_below_all_that_is_seen(rng: np.random.Generator, slope: float) -> None:
+    points, place = far_scene(rng, slope), (80.0, 3.0)
+    truth_m = -1.8 + 80 * slope
+    assert ground_ahead(points, place).z_m(*place) == pytest.approx(truth_m, abs=0.3)
+    assert fit_ground(points, place).z_m(*place) > truth_m + 0.4  # all that is near by stands above it
+    box = fit_radar_peak(points, place, replace(prior_of("Sedan"), lane_rad=0.0)).box
+    assert box[2] - box[5] / 2 == pytest.approx(truth_m, abs=0.3)
+    aside = ground_ahead(points @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + [5.0, 0, 0], (2.0, 80.0), (5.0, 0.0))
+    assert aside.z_m(2.0, 80.0) == pytest.approx(ground_ahead(points, place).z_m(*place), abs=1e-6)
+
+
+def test_near_by_and_without_points_the_ground_is_the_one_beside(rng: np.random.Generator) -> None:
+    points = scene(rng, (20.0, 5.0), 0.4)
+    assert ground_ahead(points, (20.0, 5.0)) == fit_ground(points, (20.0, 5.0))
+    assert ground_ahead(np.zeros((0, 3)), (80.0, 0.0)).cells == 0
+    assert ground_ahead(np.full((5, 3), np.nan), (80.0, 0.0)).cells == 0
 
 
 def test_only_what_hangs_together_is_taken(rng: np.random.Generator) -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fitting_scenes import CAR, road, scene
+from fitting_scenes import CAR, road, scene, sides
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -63,11 +63,11 @@ def test_a_click_finds_the_car_and_asks_for_the_sign(rng: np.random.Generator, c
     found = fit_click(points, corner, PRIOR)
     assert overlap(found, centre, yaw) > 0.8
     assert found.heading == "ask"
-    assert found.criterion == "variance"
+    assert found.criterion == "faces"
     known = fit_click(points, corner, replace(PRIOR, lane_rad=float(yaw + np.pi + 0.3)))
     assert known.heading == "lane"
     assert turned_by(known.box[6], yaw + np.pi) < np.deg2rad(5.0)
-    assert len(known.candidates) == 1
+    assert len(known.candidates) == 3
     tracked = fit_click(points, corner, replace(PRIOR, yaw_rad=float(yaw + 0.05)))
     assert (tracked.heading, tracked.criterion) == ("track", "track")
     assert turned_by(tracked.box[6], yaw) < np.deg2rad(2.0)
@@ -78,7 +78,33 @@ def test_few_points_far_away_follow_the_lane(rng: np.random.Generator) -> None:
     found = fit_click(points, (52.7, 3.0), replace(PRIOR, lane_rad=0.05))
     assert (found.criterion, found.heading) == ("lane", "lane")
     assert overlap(found, (55.0, 3.0), 0.05) > 0.7
-    assert len(found.candidates) == 3  # the L-shape's first, for a car that crosses
+    assert len(found.candidates) == 3  # the one of another heading first, for a car that crosses
+
+
+@pytest.mark.parametrize("off_deg", [-10.0, 10.0])
+def test_a_box_that_stands_ten_degrees_off_is_turned(rng: np.random.Generator, off_deg: float) -> None:
+    for centre in PLACES:
+        points = scene(rng, centre, 0.5)
+        fitted = refit(points, [*centre, -1.15, *CAR, 0.5 + np.deg2rad(off_deg)], PRIOR)
+        assert turned_by(fitted.box[6], 0.5) < np.deg2rad(2.0), centre
+        assert overlap(fitted, centre, 0.5) > 0.85
+
+
+def test_a_click_in_a_row_of_parked_cars_takes_one_of_them(rng: np.random.Generator) -> None:
+    """Side by side, their fronts in one line: a box across two of them would hold as many points."""
+    centres = [(12.0, across) for across in (-4.8, -2.4, 0.0, 2.4, 4.8)]
+    rows = [sides(centre, np.pi, CAR, step_m=0.15, base_m=-1.9) for centre in centres]
+    points = np.concatenate([road(rng), *rows]).astype(np.float32)
+    fitted = fit_click(points, (12.0 - CAR[0] / 2, 2.1), replace(PRIOR, lane_rad=np.pi / 2))
+    assert overlap(fitted, centres[3], np.pi) > 0.8
+
+
+def test_points_that_leave_the_heading_open_are_said_and_the_neighbours_asked(rng: np.random.Generator) -> None:
+    points = scene(rng, (55.0, 3.0), 0.6, step_m=0.9)
+    fitted = fit_click(points, (53.5, 2.2), replace(PRIOR, lane_rad=0.6, roads_rad=(0.0, 0.6, 0.6, 0.6)))
+    assert fitted.criterion == "lane"
+    assert "drag along the object" in fitted.note
+    assert turned_by(fitted.box[6], 0.6) < np.deg2rad(10.0)
 
 
 def test_whole_bodies_grow_away_from_the_sensor_and_visible_parts_do_not(rng: np.random.Generator) -> None:

@@ -99,7 +99,7 @@ def test_keys_move_and_turn_in_the_box_axes(page: Screen, key, forward, left, up
     assert box[:3] == pytest.approx(along(row["box"], forward, left, up), abs=1e-4)
     assert math.cos(box[6] - row["box"][6] - math.radians(turn)) == pytest.approx(1, abs=1e-9)
     assert page.selected["version"] > row["version"]
-    assert page.text("#saved").startswith("saved ")
+    assert page.text("#saved").startswith("in the journal: ")
     undone(page)
     assert page.box(row["id"])["box"] == pytest.approx(row["box"], abs=1e-9)
 

@@ -1,5 +1,6 @@
 """Both calibration pages as a person uses them: what was planted is corrected, saved, and read back by the readers."""
 
+import json
 import math
 from functools import partial
 from pathlib import Path
@@ -10,11 +11,13 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("cv2")
 from _studio_screen import Screen, screen
+from studio.browser.layout import SIZES, axe_faults, layout_faults
 from studio.live import studio
 from studio.posts import CAMERA, PLANTED, RADAR, plant_radar, write_kitti, write_kradar
 
 from farfield.calibration.camera_edges import camera_difference
 from farfield.datasets import open_dataset
+from farfield.datasets.kradar.radar_pose import SIDE_FILE
 from farfield.geometry.poses import invert
 from farfield.studio.options import CalibrationSettings
 
@@ -199,6 +202,9 @@ def test_a_planted_error_is_refined_saved_and_read_back(radar: Screen, kradar: P
     assert "as saved" in radar.text("#saved")
     (copy,) = text.parent.glob("calib_radar_lidar.txt.before-*")
     assert copy.read_bytes() == old
+    stored = json.loads((text.parent / SIDE_FILE).read_text())["sigma"]
+    shown = {f"{one['name']}_{one['unit']}": one["sigma"] for one in radar.tell("model.residuals.known")}
+    assert shown == pytest.approx({name: row["sigma"] for name, row in stored.items()}), "one sigma, shown and saved"
     sensor = open_dataset(kradar)[0].sensors["radar"]
     read = invert(sensor.frame_T_sensor)
     assert np.abs(read[:2, 3] - truth[:2]).max() < 0.1
@@ -284,3 +290,29 @@ def test_edges_are_aligned_as_a_job_and_a_changed_lens_is_said_not_to_be_saved(c
     until(camera, f"model.state.camera.fx < 708 && {back} && model.fresh")
     assert camera.tell("values()") == before
     assert number(camera, "fx") == 707.0
+
+
+@pytest.mark.parametrize("name", ["radar", "camera"])
+def test_the_pages_are_whole_at_every_size_and_worked_by_keys(request, name: str):
+    page: Screen = request.getfixturevalue(name)
+    for keys in ((), ("?",)):
+        page.press(*keys)
+        for width, height in SIZES[::3]:
+            page.page.set_viewport_size({"width": width, "height": height})
+            page.settled()
+            assert layout_faults(page.page) == [], (width, height, keys)
+        assert axe_faults(page.page) == []
+    assert "Keys while calibrating" in page.text("#help")
+    page.press("Escape")
+    assert not page.page.locator("#help").is_visible()
+    page.page.set_viewport_size({"width": 1280, "height": 720})
+    place = page.tell("model.place")
+    page.page.locator("#header button").focus()
+    slider = page.page.locator("#right input[type=range]").first
+    while not slider.evaluate("(one) => one === document.activeElement"):
+        page.press("Tab")
+    before = float(slider.input_value())
+    page.press("ArrowRight")
+    assert float(slider.input_value()) > before
+    assert page.tell("model.place") == place, "an arrow on a slider changed the frame"
+    until(page, "model.moving === false && model.fresh")

@@ -7,7 +7,7 @@ pytest.importorskip("starlette")
 pytest.importorskip("embreex")
 pytest.importorskip("numba")
 from _studio_screen import Hand, annotated, emptied, errors_of
-from studio_fitting import draw_new, draw_next, near_objects, polar_errors, simulated, unseen
+from studio_fitting import HEIGHT_M, HEIGHT_PX, draw_new, draw_next, near_objects, polar_errors, simulated, unseen
 
 from farfield.datasets import open_dataset
 from farfield.radar.axes import KRADAR_AXES
@@ -62,7 +62,11 @@ def test_an_object_of_the_radar_alone(chromium, tmp_path):
         made = hand.peak(place + np.random.default_rng(1).normal(0, hand.error_m, 2))
         assert made["source"] == "radar"
         assert not made["points"]
+        raised = hand.raised(one, np.random.default_rng(2), HEIGHT_PX)
+        assert raised["box"][:2] == made["box"][:2]
+        assert abs(raised["box"][2] - one.box.centre_m[0, 2]) <= HEIGHT_M
+        assert abs(raised["box"][5] - one.box.size_m[0, 2]) <= HEIGHT_M
     pose = data[0].sensors["radar"].frame_T_sensor
-    ((range_m, turn),) = polar_errors(copy, [(0, one)], [made], pose[:2, 3])
+    ((range_m, turn),) = polar_errors(copy, [(0, one)], [raised], pose[:2, 3])
     assert abs(range_m) <= KRADAR_AXES.range_step_m
     assert abs(turn) <= 1.0

@@ -107,7 +107,7 @@ def test_boxes_are_proposed_judged_and_only_those_that_stand_are_written(page: S
     assert page.selected["proposal"] == pytest.approx(third["box"])
 
     page.click(fourth["box"][:3])
-    page.page.get_by_role("button", name="Accept").click()
+    page.page.get_by_role("button", name="Accept", exact=True).click()
     page.settled()
     assert page.box(fourth["id"])["state"] == "accepted"
 
@@ -143,3 +143,59 @@ def test_a_rejection_can_be_undone_and_the_box_accepted_after_all(page: Screen):
     page.settled()
     assert page.box(row["id"])["state"] == "accepted"
     assert page.errors == []
+
+
+def test_all_from_a_score_on_are_accepted_once_they_were_counted_and_come_back_with_one_undo(page: Screen):
+    panel, bar = page.page.locator("#proposals"), page.page.locator(".bar:has-text('One undo')")
+    field, left = panel.locator("input"), proposals(page)
+    least = sorted(row["score"] for row in left)[len(left) // 2]
+    strong = {row["id"] for row in left if row["score"] >= least}
+    field.fill(f"{least - 0.001:.4f}")
+    assert f"{len(strong)} of {len(left)} here" in panel.inner_text()
+    panel.get_by_role("button", name="Accept all").click()
+    bar.wait_for()
+    assert f"{len(strong)} proposals" in bar.inner_text()
+    assert len(proposals(page)) == len(left), "none is accepted before the answer"
+    page.page.wait_for_timeout(4200)  # longer than a sentence stays that asks nothing
+    assert bar.count() == 1
+    page.press("Shift+Y")
+    page.page.wait_for_timeout(500)
+    assert bar.count() == 1
+    bar.get_by_role("button", name="Leave them").click()
+    page.press("Shift+Y")
+    bar.get_by_role("button", name=f"Accept {len(strong)} of this frame").click()
+    page.settled()
+    assert {row["id"] for row in left} - {row["id"] for row in proposals(page)} == strong
+    tracks = [row["track"] for row in page.boxes if row["id"] in strong]
+    assert None not in tracks
+    assert len(set(tracks)) == len(tracks)
+    done = page.tell("state.takenBack")
+    page.press("Control+z")
+    page.until(f"state.takenBack > {done}")
+    page.settled()
+    assert {row["id"] for row in proposals(page)} == {row["id"] for row in left}
+    assert page.errors == []
+
+
+def test_a_box_that_was_rejected_or_hidden_is_not_changed_by_the_next_key(page: Screen):
+    row = ahead(page)[0]
+    page.press("Escape")
+    page.click(row["box"][:3])
+    page.until(f"state.selection === '{row['id']}'")
+    hide = page.page.locator("#left label:has-text('vehicle') input[type=checkbox]").first
+    hide.click()
+    page.until("state.selection === null")
+    hide.click()
+    page.click(row["box"][:3])
+    page.until(f"state.selection === '{row['id']}'")
+    for other in proposals(page):  # the last one has no next to which the selection could go
+        if other["id"] != row["id"]:
+            page.tell(f"state.boxes.find((one) => one.id === '{other['id']}').state = 'accepted'")
+    page.press("Delete")
+    page.until("state.selection === null")
+    page.settled()
+    before = page.box(row["id"])
+    assert before["state"] == "rejected"
+    page.press("w")
+    page.settled()
+    assert page.box(row["id"]) == before

@@ -1,6 +1,8 @@
 """What a calibration page may ask of the server: what is kept, told to other windows, undone, saved, and refused."""
 
 import json
+import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from farfield.calibration.camera_edges import camera_difference
 from farfield.datasets import open_dataset
 from farfield.datasets.calibration import read_calibration
 from farfield.errors import ConfigError
+from farfield.frame import Camera
 from farfield.studio.calibrating.service import CalibrationService
 from farfield.studio.calibrating.task import camera_of, camera_values
 from farfield.studio.messages.requests import read_request
@@ -112,10 +115,43 @@ def test_changes_are_told_to_all_windows_and_undone(live: Live):
         assert refused["code"] == "conflict"
         two.send(op="calib.undo", id="u", what="undo")
         assert two.until("calib.state")["camera"] == first["camera"]
-        two.send(op="calib.undo", id="u", what="undo")
+        two.send(op="calib.undo", id="v", what="undo")
         assert "nothing to undo" in two.until("refused")["sentence"]
         two.send(op="calib.undo", id="u", what="redo")
         assert two.until("calib.state")["camera"] == after["camera"]
+
+
+def test_a_message_that_comes_again_after_a_lost_connection_changes_nothing_twice(live: Live):
+    with live.window() as client:
+        first = entered(client)
+        moved = {**first["camera"], "moved": [0.01, 0.0, 0.0, 0.0, 0.0, 0.0]}
+        message = {"op": "calib.set", "id": "s-1", "base": first["seq"], "camera": moved}
+        client.send(**message)
+        after = client.until("calib.state", "refused")
+    with live.window() as client:  # the page comes back, and has no answer
+        entered(client)
+        client.send(**message)
+        again = client.until("calib.state", "refused")
+        assert (again["op"], again["answers"], again["seq"]) == ("calib.state", "s-1", after["seq"])
+        for _ in range(2):
+            client.send(op="calib.undo", id="u-1", what="undo")
+            state = client.until("calib.state", "refused")
+        assert state["camera"] == first["camera"]
+        client.send(op="calib.undo", id="u-2", what="redo")
+        assert client.until("calib.state", "refused")["camera"]["moved"][0] == 0.01
+        with live.window() as other:  # both recover, and send the pairs of a page that was lost
+            for name in ("p-1", "p-2"):
+                other.send(op="calib.pick", id=name, frame=0, point_m=[9.0, 1.0, 0.5], pixel=[400.0, 200.0])
+                state = other.until("calib.state", "refused", wanted=lambda state, name=name: state["answers"] == name)
+                assert len(state["picks"]) == 1
+
+
+def test_messages_that_were_taken_are_remembered_up_to_a_thousand(root: Path, tmp_path: Path):
+    settings = CalibrationSettings(kind="lidar-camera", frames=1, folder=tmp_path / "out")
+    service = CalibrationService(open_dataset(root), settings)
+    for number in range(1001):
+        service.note_taken(f"message {number}")
+    assert [service.was_taken(f"message {number}") for number in (0, 1, 1000)] == [False, True, True]
 
 
 def test_residuals_are_told_of_values_that_are_not_kept(live: Live):
@@ -167,7 +203,7 @@ def test_picks_are_solved_saved_read_back_and_put_back(live: Live, root: Path, t
         assert "no pair 99" in client.until("refused")["sentence"]
         client.send(op="calib.pick", id="p", frame=5, point_m=[5.0, 0.0, 0.0], pixel=[1.0, 1.0])
         assert client.until("refused")["code"] == "frame"
-        client.send(op="calib.solve", id="s", how="pairs")
+        client.send(op="calib.solve", id="s-2", how="pairs")
         solved = client.until("calib.state", wanted=lambda state: state["solved"] != "")
         assert max(pick["residual_px"] for pick in solved["picks"]) < 0.5
         path = root / "training" / "calib" / "000000.txt"
@@ -182,10 +218,10 @@ def test_picks_are_solved_saved_read_back_and_put_back(live: Live, root: Path, t
         client.send(op="calib.restore", id="r")
         assert client.until("calib.saved")["restored"]
         assert path.read_bytes() == old
-        client.send(op="calib.restore", id="r")
+        client.send(op="calib.restore", id="r-2")
         assert client.until("refused")["code"] == "restore"
         put(client, solved | {"seq": _seq(client)}, fx=720.0)
-        client.send(op="calib.save", id="w", to="data")
+        client.send(op="calib.save", id="w-2", to="data")
         assert "the pose alone" in client.until("refused")["sentence"]
         client.send(op="calib.save", id="w", to="folder")
         client.until("calib.saved")
@@ -197,7 +233,17 @@ def _seq(client: Client) -> int:
     return client.until("calib.state")["seq"]
 
 
-def test_a_job_is_stopped_and_changes_nothing(live: Live):
+def endless(before: Camera, views: object, *, progress: Callable[[float], None]) -> None:
+    """An alignment that ends only where it is stopped: the true one may be over before that is asked for."""
+    del before, views
+    until = time.monotonic() + 30
+    while time.monotonic() < until:
+        progress(0.5)
+        time.sleep(0.01)
+
+
+def test_a_job_is_stopped_and_changes_nothing(live: Live, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("farfield.studio.calibrating.camera_task.align_edges", endless)
     with live.window() as client:
         before = entered(client)
         client.send(op="calib.solve", id="s", how="edges")

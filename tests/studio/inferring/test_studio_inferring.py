@@ -1,7 +1,11 @@
 """Detection beside the server: progress, cancel, failures, two detectors, proposals."""
 
+import asyncio
+import threading
+from collections import deque
 from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -13,6 +17,8 @@ from studio.live import studio
 
 from farfield.datasets.base import Subset
 from farfield.errors import FarfieldError
+from farfield.frame import Boxes
+from farfield.studio.inferring.jobs import InferJob, Jobs
 from farfield.studio.inferring.worker import Worker
 from farfield.studio.samples import open_samples
 from farfield.studio.session import detecting
@@ -110,6 +116,23 @@ def test_an_error_of_ours_ends_the_job_and_not_those_behind_it(tmp_path: Path, m
             assert ("error of its own" in ended["message"]) == (wanted == "failed")
 
 
+def test_jobs_that_ended_are_remembered_up_to_two_hundred():
+    assert asyncio.run(_names_after_cancelling(203)) == [f"job-{number}" for number in range(3, 203)]
+
+
+async def _names_after_cancelling(count: int) -> list[str]:
+    jobs = Jobs(Worker(open_samples(), load), _delivered, lambda job: None)
+    for number in range(count):
+        jobs.add(InferJob(id=f"{number}", name=f"job-{number}", detector="good", frames=deque([0, 1])))
+        assert jobs.cancel(f"job-{number}")
+    await jobs.close()
+    return list(jobs.jobs)
+
+
+async def _delivered(job: InferJob, index: int, boxes: Boxes) -> None:
+    """Take the boxes of a frame."""
+
+
 def test_detections_are_proposed_where_nothing_stands(tmp_path: Path):
     settings = {"mode": "annotate", "detectors": ("good",), "edits": tmp_path / "edits", "notes": tmp_path}
     with studio(**settings) as live, live.window() as client:
@@ -126,3 +149,37 @@ def test_detections_are_proposed_where_nothing_stands(tmp_path: Path):
         client.send(op="undo", id="u1")
         gone = client.until("changed", wanted=lambda message: message["show"] is not None)
         assert {each["id"] for each in gone["removed"]} == {row["id"] for row in made}
+
+
+def test_the_default_detector_is_chosen_by_what_the_data_are():
+    assert next(iter(detecting.shipped_detectors("kradar", tensors=True).items())) == ("rtnh-kradar-sim", "radar")
+    assert next(iter(detecting.shipped_detectors("kradar", tensors=False))) == "pointpillars-kradar-sim"
+    assert next(iter(detecting.shipped_detectors("kitti", tensors=False).items())) == (
+        "pointpillars-cirrus-sim",
+        "LiDAR",
+    )
+    with studio() as live, live.window() as client:
+        first = client.welcome["detectors"][0]
+        assert (first["name"] == "rtnh-kradar-sim") == bool(open_samples()[0].radar)
+
+
+class LostFrames(Subset):
+    """Frames whose files are on a disk that does not answer."""
+
+    def __getitem__(self, index: object) -> NoReturn:
+        raise OSError(5, "Input/output error", "000000.bin")
+
+
+def test_a_first_frame_that_cannot_be_read_keeps_nobody_out_and_nothing_waiting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    assert detecting.has_tensors(LostFrames(open_samples(), [0, 1])) is False
+    threads, read = list[str](), detecting.has_tensors
+    monkeypatch.setattr(
+        detecting, "has_tensors", lambda data: (threads.append(threading.current_thread().name), read(data))[-1]
+    )
+    with studio(notes=tmp_path) as live, live.window() as client:
+        client.send(op="infer.start", id="i", detector="missing", first=0, last=1)
+        assert "detectors on offer" in client.until("refused")["sentence"]
+    assert len(threads) == 2  # of the welcome and of the request
+    assert all(name.startswith("studio-session") for name in threads), threads

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("pydantic")
 from farfield.errors import ConfigError
 from farfield.studio.messages.replies import Ack, Job, write_reply
-from farfield.studio.messages.requests import BoxSet, Hello, Request, read_request
+from farfield.studio.messages.requests import BoxSet, Hello, Request, id_of, read_request
 
 VALUE = {"box": [10, 2.5, 0.8, 4.6, 1.9, 1.7, 0.3], "class_name": "vehicle", "track": 3}
 SET = {"op": "box.set", "id": "w1-1", "frame": 0, "box": "b1", "base": 2, "value": VALUE}
@@ -28,6 +28,19 @@ def test_a_message_is_read_into_its_class():
     assert isinstance(read, BoxSet)
     assert read.value.box == (10, 2.5, 0.8, 4.6, 1.9, 1.7, 0.3)
     assert (read.value.track, read.value.state, read.base) == (3, "edited", 2)
+
+
+@pytest.mark.parametrize("value", [float("nan"), "\ud800", 10**30, [[[1]]], None])
+def test_whatever_is_refused_is_named_by_its_id(value):
+    text = valued(attributes={"a": value}, box=[value])
+    with pytest.raises(ConfigError):
+        read_request(text)
+    assert id_of(text) == "w1-1"  # without it the page would send the edit again and again
+
+
+def test_digits_without_end_do_not_hide_the_id():
+    assert id_of(changed().replace('"frame": 0', f'"frame": {"9" * 5000}')) == "w1-1"
+    assert id_of("[" * 100_000) is id_of('{"id": "../x"}') is id_of("5") is id_of(b"\xff") is None
 
 
 @pytest.mark.parametrize(
@@ -54,6 +67,7 @@ def test_a_message_is_read_into_its_class():
         (valued(track=-1), "track"),
         (valued(attributes={"a": [1]}), "attributes"),
         (valued(attributes={"a": float("nan")}), "attributes"),
+        (valued(attributes={"a": "x" * 2001}), "attributes"),
         (valued(attributes={str(i): 1 for i in range(65)}), "attributes"),
     ],
 )
@@ -84,5 +98,5 @@ def test_every_message_but_the_first_has_a_handler():
     from farfield.studio.serving.app import HANDLER_MODULES
     from farfield.studio.session.session import HANDLERS
 
-    assert len(HANDLER_MODULES) == 5
+    assert len(HANDLER_MODULES) == 7
     assert set(HANDLERS) == {*get_args(get_args(Request)[0])} - {Hello}

@@ -14,7 +14,9 @@ from studio.live import Live, studio
 from studio.showing.test_studio_wire import decode
 
 from farfield.files.boxes_csv import BoxRows, write_boxes_csv
+from farfield.radar.axes import CUBE_X_M, CUBE_Y_M, OUTSIDE
 from farfield.studio.samples import open_samples
+from farfield.studio.showing.radar import RadarPower, in_radar
 from farfield.vocabulary.studio import STUDIO_PORT, studio_link
 
 
@@ -96,6 +98,30 @@ def test_a_slice_of_the_radar_holds_no_more_than_the_whole(live: Live):
     assert (part[1]["level"] > 0).sum() < (whole[1]["level"] > 0).sum()
 
 
+def test_the_cells_of_the_radar_near_a_place(live: Live):
+    """The sample's cube: the cells about a place at all heights, as the frame has them."""
+    header, arrays = decode(live.get("/radar/1/near?x=20&y=3&reach=6")[2])
+    axes = header["axes"]
+    assert list(axes) == ["z_m", "y_m", "x_m"]
+    assert arrays["level"].size == np.prod([count for _, _, count in axes.values()])
+    frame = open_samples()[1]
+    power = RadarPower.read(frame.radar)
+    x, y = in_radar(frame, (20.0, 3.0))
+    for name, middle in (("x_m", x), ("y_m", y)):
+        first, step, count = axes[name]
+        assert first == pytest.approx(middle - 6, abs=step)
+        assert first + step * (count - 1) == pytest.approx(middle + 6, abs=step)
+    level = arrays["level"].reshape([count for _, _, count in axes.values()])
+    row, column = (round((axes[name][0] - axis[0]) / 0.4) for name, axis in (("y_m", CUBE_Y_M), ("x_m", CUBE_X_M)))
+    cut = power.power[:, row : row + level.shape[1], column : column + level.shape[2]]
+    assert np.array_equal(level > 0, cut > OUTSIDE)
+    assert np.unravel_index(level.argmax(), level.shape) == np.unravel_index(cut.argmax(), cut.shape)
+    assert -3 < header["ground_z_m"] < 0
+    for query in ("x=nan&y=1e9&reach=-1", "x=900&y=900"):  # no cell lies there
+        assert [count for _, _, count in decode(live.get(f"/radar/1/near?{query}")[2])[0]["axes"].values()] == [0, 0, 0]
+    assert live.get("/radar/0/near?x=20&y=3")[0] == 404  # that frame has no radar
+
+
 def test_boxes_come_with_their_points_and_predictions_with_their_verdicts(live: Live):
     with live.window() as client:
         state = client.open(0)
@@ -103,7 +129,7 @@ def test_boxes_come_with_their_points_and_predictions_with_their_verdicts(live: 
         counts = open_samples()[0].boxes.point_count
         assert [row["points"] for row in state["boxes"]] == counts.tolist()
         (found,) = state["predicted"]
-        assert "0" in found["missed"] or "0" in found["ignored"]
+        assert "0:0" in found["missed"] or "0:0" in found["ignored"]
         matched = [row for row in found["rows"] if row["match"] == "matched"]
         assert len(matched) >= 5
         for row in matched:

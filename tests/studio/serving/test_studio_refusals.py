@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import logging
 import re
 import socket
 
@@ -12,6 +13,7 @@ pytest.importorskip("uvicorn")
 from studio.live import Live, studio
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from farfield.studio.messages.rows import VERSION
 from farfield.studio.serving import app, guard, run
 from farfield.studio.serving.guard import AccessTokens, host_allowed
 
@@ -25,7 +27,7 @@ def live():
 def test_health_needs_no_cookie_and_tells_nothing_of_the_data(live: Live):
     status, headers, body = live.get("/health", cookie="")
     assert status == 200
-    assert json.loads(body) == {"status": "ok", "version": 1, "ready": True}
+    assert json.loads(body) == {"status": "ok", "version": VERSION, "ready": True}
     assert "server" not in headers
 
 
@@ -241,7 +243,7 @@ def test_the_ninth_window_is_sent_away(live: Live):
     [
         ('{"op":"frame.open","frame":0}', "hello"),
         ("nonsense", "hello"),
-        ('{"op":"hello","window":"w","version":2}', "version"),
+        ('{"op":"hello","window":"w","version":1}', "version"),
         ('{"op":"hello","window":"../w"}', "hello"),
     ],
 )
@@ -256,6 +258,26 @@ def test_bytes_are_no_hello(live: Live):
     with live.raw() as raw:
         raw.send(b"\x00")
         assert json.loads(raw.recv(timeout=10))["op"] == "bye"
+
+
+def test_a_window_that_says_hello_late_may_come_again(live: Live, monkeypatch):
+    monkeypatch.setattr(app, "_HELLO_S", 0.05)
+    with live.raw() as late, pytest.raises(ConnectionClosed) as closed:
+        late.recv(timeout=20)  # no goodbye, after which the page would not come again
+    assert closed.value.rcvd.code == 1013
+
+
+def test_a_client_that_goes_away_in_its_body_is_no_error_of_the_studio(live: Live, monkeypatch):
+    failures = []
+    monkeypatch.setattr(logging.getLogger("uvicorn.error"), "error", lambda *_, **more: failures.append(more))
+    head = f"POST /shot HTTP/1.1\r\nHost: {live.host}\r\nOrigin: {live.origin}\r\nCookie: {live.cookie}\r\n"
+    for _ in range(3):
+        with socket.create_connection(("127.0.0.1", live.port), timeout=10) as raw:
+            raw.sendall(head.encode() + b"Content-Length: 500\r\n\r\nonly this")
+            raw.shutdown(socket.SHUT_WR)
+            raw.recv(100)
+    assert live.get("/health")[0] == 200
+    assert failures == []
 
 
 def test_messages_that_are_none_are_refused_and_then_the_window_is_closed(live: Live):
@@ -318,3 +340,16 @@ def test_no_answer_shows_a_path_of_this_machine(live: Live):
         texts = [json.dumps(client.welcome), json.dumps(client.open(0)), json.dumps(client.open(1))]
     for text in texts:
         assert not re.search(r'"[^"]*?/(?:home|root|work|tmp|usr)/', text)
+
+
+@pytest.mark.parametrize("digits", [10, 20, 5000])
+def test_a_number_of_many_digits_is_nothing_that_is_there(live: Live, digits: int):
+    """int() takes no more than 4,300 of them."""
+    many = "9" * digits
+    for path in ("/layer/{}/0", "/layer/0/{}", "/image/{}/0", "/image/0/{}", "/radar/{}/bev", "/export/{}", "/{}"):
+        assert live.get(path.format(many))[0] == 404, path
+    assert live.get(f"/?frame={many}")[0] == 200
+    assert live.get(f"/?frame={many}/{many}")[0] == 303
+    assert live.get(f"/layer/0/0?sweeps={many}")[0] == 200
+    assert live.request("POST", "/shot", b"", origin=live.origin, content_length=many)[0] in (400, 413)
+    assert live.get("/layer/0/0")[0] == 200

@@ -14,6 +14,7 @@ pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 from studio.live import studio
 
+from farfield.datasets import open_dataset
 from farfield.errors import ConfigError, FarfieldError
 from farfield.studio.options import DatasetOpener
 from farfield.studio.serving import run
@@ -55,7 +56,7 @@ def test_the_browser_is_opened_but_not_over_ssh(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_what_cannot_be_opened_ends_the_studio_with_its_reason(tmp_path: Path):
-    with pytest.raises(FarfieldError, match="recognised no data set"), studio(DatasetOpener(tmp_path)):
+    with pytest.raises(FarfieldError, match="recognised no data set"), studio(DatasetOpener(tmp_path, open_dataset)):
         pass
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.annotation.annotator import offered_classes
+from farfield.annotation.annotator import LabelSize, offered_classes
 from farfield.annotation.edits import add_box
 from farfield.annotation.errors import RefusedError
 from farfield.annotation.store import Author
@@ -67,14 +67,30 @@ def test_a_class_that_nobody_offers_is_refused_with_what_to_do(tmp_path: Path):
 
 
 def test_kradar_speaks_its_own_words_unless_its_boxes_speak_cirrus():
-    assert "Sedan" in offered_classes("kradar", (), {"Sedan": (4.6, 2.2, 1.9)})
+    assert "Sedan" in offered_classes("kradar", (), {"Sedan": LabelSize((4.6, 2.2, 1.9), 3)})
     assert "Sedan" in offered_classes("kradar", (), {})
-    cirrus = offered_classes("kradar", (), {"vehicle": (4.6, 2.2, 1.9)})
+    cirrus = offered_classes("kradar", (), {"vehicle": LabelSize((4.6, 2.2, 1.9), 3)})
     assert "Sedan" not in cirrus
     assert "vehicle" in cirrus
-    both = offered_classes("kradar", (), {"Sedan": (4.6, 2.2, 1.9), "tank": TANK})
+    both = offered_classes("kradar", (), {"Sedan": LabelSize((4.6, 2.2, 1.9), 3), "tank": LabelSize(TANK, 1)})
     assert both["tank"].size_m == TANK
-    assert set(offered_classes("kradar", ("car:4,2,1",), {"Sedan": (4.6, 2.2, 1.9)})) == {"car", "Sedan"}
+    assert set(offered_classes("kradar", ("car:4,2,1",), {"Sedan": LabelSize((4.6, 2.2, 1.9), 3)})) == {"car", "Sedan"}
+
+
+def test_the_usual_size_is_the_data_sets_own_else_published_else_ours():
+    many = offered_classes("kitti", (), {"Car": LabelSize((4.1, 1.7, 1.6), 57)})["Car"]
+    assert many.size_m == (4.1, 1.7, 1.6)
+    assert many.source == "median of 57 boxes of the data set"
+    few = offered_classes("kitti", (), {"Car": LabelSize((4.1, 1.7, 1.6), 4)})["Car"]
+    assert few.size_m == pytest.approx((3.88, 1.63, 1.53))
+    assert "KITTI's training labels" in few.source
+    assert offered_classes("kitti", (), {})["Tram"].size_m[0] > 15
+    assert offered_classes("kitti_raw", (), {})["vehicle"].size_m == few.size_m
+    assert "K-Radar" in offered_classes("kradar", (), {})["Sedan"].source
+    assert "Farfield" in offered_classes("cirrus", (), {})["vehicle"].source
+    ours = offered_classes("kitti", ("Car:5,2,1",), {"Car": LabelSize((4.1, 1.7, 1.6), 57)})["Car"]
+    assert ours.size_m == (5, 2, 1)  # what a person says stands
+    assert "--classes" in ours.source
 
 
 def test_sizes_that_count_as_usual_are_those_of_the_data_set(tmp_path: Path):
@@ -90,7 +106,7 @@ def test_sizes_that_count_as_usual_are_those_of_the_data_set(tmp_path: Path):
             value = {"label": "tank", "box": [20.0, -20, 0, *longer, 0], "state": "edited"}
             plan = partial(add_box, key=key, name="n", value=value)
             known.store.edit(Author("kim"), "e1", "box.add", plan).saved.result()
-            assert any(row.check == "size" and row.box == "n" for row in known.checks(0)) is expected
+            assert any(row.check == "size" and row.box == "n" for row in known.annotator.check(0)) is expected
         finally:
             known.close()
 

@@ -10,7 +10,9 @@ pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 from studio.live import studio
 
+from farfield.errors import FarfieldError
 from farfield.studio.samples import open_samples
+from farfield.studio.session.frame_cache import FrameCache
 from farfield.studio.showing.radar import RadarPower
 
 
@@ -56,6 +58,36 @@ def test_an_edit_is_acknowledged_seen_by_others_and_undone(live):
         assert back["rows"][0]["row"]["box"] == pytest.approx(row["box"])
         theirs.send(op="undo", id=theirs.new_id())
         assert theirs.until("refused")["code"] == "nothing"
+
+
+def test_a_frame_that_becomes_unreadable_has_the_number_of_the_last_edit(live, monkeypatch):
+    with live.window() as client:
+        row = client.open(0)["boxes"][2]
+        ack = set_box(client, 0, row, box=[row["box"][0] + 0.5, *row["box"][1:]])
+        monkeypatch.setattr(FrameCache, "state", damaged)
+        answer = client.open(0)
+        assert "damaged" in answer["unreadable"]
+        assert answer["seq"] >= ack["seq"]  # with an older one the page would ask again and again
+
+
+def test_a_window_that_asks_for_no_frame_that_there_is_harms_no_check(live, capfd):
+    with live.window() as client:
+        client.open(0)
+        assert client.open(9_999_999)["op"] == "refused"
+        client.send(op="check.ignore", id=client.new_id(), check="x", reason="it is so")
+        assert client.until("checks")["frame"] == 0
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_an_attribute_without_a_value_is_refused_in_words(live):
+    with live.window() as client:
+        row = client.open(0)["boxes"][0]
+        refused = set_box(client, 0, row, attributes={"colour": None})
+        assert (refused["op"], refused["code"]) == ("refused", "attribute")
+
+
+def damaged(*_) -> None:
+    raise FarfieldError("the cloud is damaged")
 
 
 def test_a_message_sent_twice_counts_once(live):
@@ -107,13 +139,43 @@ def test_detections_are_kept_apart_until_they_are_accepted(live):
         assert set_box(client, 0, made, state="accepted")["row"]["state"] == "accepted"
 
 
+def test_what_was_counted_is_accepted_and_nothing_else(live):
+    with live.window() as client, live.window() as other:
+        row = client.open(0)["boxes"][0]
+        for number in range(3):
+            box = [row["box"][0] + 60 + 8 * number, *row["box"][1:]]
+            value = value_of(row, state="proposed", source="detector", box=box) | {"track": None}
+            client.send(op="box.add", id=client.new_id(), frame=0, box=f"q-{number}", value=value)
+            made = client.until("ack")["row"]
+        client.send(op="proposals.count", id="count", frame=0, score=0.5)
+        counted = client.until("proposals")
+        assert (counted["here"], counted["count"], counted["frames"]) == (3, 3, 1)
+        set_box(other, 0, made, box=[row["box"][0] + 90, *row["box"][1:]], state="proposed")
+        accept = {"op": "box.accept", "frame": 0, "first": 0, "last": 0, "score": 0.5, "count": 3}
+        client.send(**accept, id="late", base=counted["seq"])
+        assert client.until("conflict", "refused", wanted=lambda one: one["id"] == "late")["op"] == "conflict"
+        client.send(op="proposals.count", id="again", frame=0, score=0.5)
+        seq = client.until("proposals")["seq"]
+        client.send(**accept | {"count": 4}, id="more", base=seq)
+        assert client.until("refused")["code"] == "proposals"
+        client.send(**accept, id="all", base=seq)
+        taken = client.until("changed", "refused", wanted=lambda one: one["id"] == "all")
+        assert [one["row"]["state"] for one in taken["rows"]] == ["accepted"] * 3
+        assert len({one["row"]["track"] for one in taken["rows"]} - {None}) == 3
+        client.send(op="undo", id="back")
+        back = client.until("changed", wanted=lambda one: one["id"] == "back")
+        assert [one["row"]["state"] for one in back["rows"]] == ["proposed"] * 3
+
+
 def test_tracks_of_the_page_are_numbers(live):
     with live.window() as client:
         assert client.welcome["tracks"]
         assert all(isinstance(track["track"], int) for track in client.welcome["tracks"])
         row = next(row for row in client.open(0)["boxes"] if row["track"] is not None)
         track = next(one for one in client.welcome["tracks"] if one["track"] == row["track"])
-        client.send(op="track.set", id=client.new_id(), track=row["track"], base=track["version"], size_locked=True)
+        edit = {"op": "track.set", "id": client.new_id(), "frame": 0, "track": row["track"], "base": track["version"]}
+        edit |= {"box": row["id"], "box_base": row["version"]}
+        client.send(**edit, size_locked=True)
         answer = client.until("changed", "refused")
         assert answer["op"] == "changed", answer
         assert answer["tracks"][0]["size_locked"] is True

@@ -1,20 +1,24 @@
 """Tracks through the studio's WebSocket: a moving car of eight frames, of which two are labelled."""
 
+import threading
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-from studio.live import studio
+from studio.live import Client, studio
 from studio.showing.test_studio_wire import decode
 
 from farfield import open_dataset
+from farfield.annotation.edits import propagate_track
 from farfield.datasets.cirrus.writer import CirrusWriter
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Sensor
+from farfield.studio.session import annotating
 
 FRAMES, SIZE_M = 8, (4.6, 1.95, 1.7)
 
@@ -74,8 +78,10 @@ def centre_error_m(row: dict, k: int) -> float:
 def test_a_track_is_propagated_by_its_motion_and_taken_back_in_one_step(live):
     with live.window() as client:
         assert client.welcome["drives"][0]["frames"] == list(range(FRAMES))
-        client.open(1)
-        client.send(op="track.propagate", id="p1", track=5, first=1, last=FRAMES - 1)
+        row = client.open(1)["boxes"][0]
+        client.send(
+            op="track.propagate", id="p1", box=row["id"], base=row["version"], track=5, first=1, last=FRAMES - 1
+        )
         changed = client.until("changed", "refused")
         assert changed["op"] == "changed", changed
         assert [each["frame"] for each in changed["rows"]] == list(range(2, FRAMES))
@@ -95,7 +101,8 @@ def test_a_track_is_interpolated_between_keyframes(live):
         value |= {"box": [*place(7), *SIZE_M, 0.0], "state": "edited"}
         client.send(op="box.add", id="a1", frame=7, box="k-7", value=value)
         client.until("ack")
-        client.send(op="track.interpolate", id="i1", track=5, first=1, last=7)
+        shown = {"frame": 1, "box": row["id"], "base": row["version"]}
+        client.send(op="track.interpolate", id="i1", **shown, track=5, first=1, last=7)
         changed = client.until("changed", wanted=lambda message: message["id"] == "i1")
         assert [each["frame"] for each in changed["rows"]] == [2, 3, 4, 5, 6]
         for each in changed["rows"]:
@@ -104,12 +111,18 @@ def test_a_track_is_interpolated_between_keyframes(live):
             assert centre_error_m(each["row"], each["frame"]) < 1e-6
         track = changed["tracks"][0]
         assert (track["frames"], track["keyframes"]) == (list(range(FRAMES)), [0, 1, 7])
-        client.send(op="track.split", id="s1", track=5, frame=4, new_track=9, base=track["version"])
+        box = next(each["row"] for each in changed["rows"] if each["frame"] == 4)
+        shown = {"frame": 4, "box": box["id"], "box_base": box["version"]}
+        client.send(op="track.split", id="s1", track=5, **shown, new_track=9, base=track["version"])
         split = client.until("changed", "refused", "conflict", wanted=lambda message: message["id"] == "s1")
         assert split["op"] == "changed", split
         assert {each["track"]: each["frames"] for each in split["tracks"]} == {5: [0, 1, 2, 3], 9: [4, 5, 6, 7]}
         versions = {each["track"]: each["version"] for each in split["tracks"]}
-        client.send(op="track.merge", id="m1", track=9, into=5, base=versions[9], into_base=versions[5])
+        merge = {"op": "track.merge", "track": 9, "into": 5, "base": versions[9], "into_base": versions[5]}
+        client.send(id="m0", **merge, **shown)  # as the box was before the split
+        late = client.until("changed", "refused", "conflict", wanted=lambda message: message["id"] == "m0")
+        assert late["op"] == "conflict", late
+        client.send(id="m1", **merge, **shown | {"box_base": late["present"]["version"]})
         merged = client.until("changed", "refused", "conflict", wanted=lambda message: message["id"] == "m1")
         assert merged["op"] == "changed", merged
         assert next(each["frames"] for each in merged["tracks"] if each["track"] == 5) == list(range(FRAMES))
@@ -145,8 +158,10 @@ def test_checks_of_all_frames_and_one_let_stand(live):
         value |= {"box": [30.0, -10.0, 1.1, *SIZE_M, 0.0], "track": None}
         client.send(op="box.add", id="e1", frame=0, box="empty-1", value=value)
         client.until("ack")
-        found = client.until("checks", wanted=lambda message: any(each["box"] == "empty-1" for each in message["rows"]))
-        finding = next(each for each in found["rows"] if each["box"] == "empty-1")
+        found = client.until(
+            "checks", wanted=lambda message: any(each["box"] == "0:empty-1" for each in message["rows"])
+        )
+        finding = next(each for each in found["rows"] if each["box"] == "0:empty-1")
         assert finding["check"] == "empty"
         client.send(op="check.ignore", id="c1", check=finding["id"], reason="hidden by a wall")
         later = client.until(
@@ -155,24 +170,88 @@ def test_checks_of_all_frames_and_one_let_stand(live):
         assert later["frame"] == 0
         client.send(op="box.add", id="e2", frame=0, box="empty-2", value=value)
         client.until("ack")
-        client.send(op="check.list")
-        everything = client.until("checks", wanted=lambda message: message["frame"] is None)["rows"]
-        assert {"overlap"} <= {each["check"] for each in everything if each["box"] in ("empty-1", "empty-2")}
-        client.send(op="timing", frame=0, box="empty-1", seconds=12.5, edits=2)
+        client.send(op="timing", frame=0, box="0:empty-1", seconds=12.5, edits=2)
+
+
+def drive_findings(client: Client, rows: dict[int, list], *, done: int) -> dict[int, list]:
+    """Take in the findings of the drive until so many frames are checked with their points."""
+    while True:
+        reply = client.until("drive.checks")
+        for frame in reply["frames"]:
+            rows[frame] = [row for row in reply["rows"] if row["frame"] == frame]
+        if reply["done"] == done and len(rows) == reply["total"]:
+            return rows
+
+
+def test_findings_of_the_whole_drive_come_by_themselves_and_follow_edits(live):
+    with live.window() as client, live.window() as other:
+        client.open(0)
         client.send(op="check.list", frame=0)
-        assert client.until("checks", "refused")["op"] == "checks"
+        rows = drive_findings(client, {}, done=FRAMES)
+        assert set(rows) == set(range(FRAMES))
+        last = FRAMES - 1
+        before = [row["check"] for row in rows[last]]
+        value = {"class_name": "vehicle", "box": [30.0, -20.0, 3.1, *SIZE_M, 0.0], "track": None}
+        other.send(op="box.add", id="far-1", frame=last, box="far-1", value=value)
+        other.until("ack")
+        rows = drive_findings(client, rows, done=FRAMES)
+        mine = [row for row in rows[last] if row["box"] == f"{last}:far-1"]
+        assert "empty" in {row["check"] for row in mine}  # against the points of a frame that nobody shows
+        assert mine[0]["at"] == [30.0, -20.0]
+        other.send(op="undo", id="far-2")
+        rows = drive_findings(client, rows, done=FRAMES)
+        assert [row["check"] for row in rows[last]] == before
+
+
+def test_two_windows_that_make_an_object_at_once_give_it_two_numbers(live):
+    value = {"class_name": "vehicle", "box": [20.0, -15.0, 0.9, *SIZE_M, 0.0], "track": 40}
+    with live.window() as one, live.window() as two:
+        for window, number in ((one, 40), (two, 41)):
+            window.send(op="box.add", id=window.new_id(), frame=2, box=window.new_id(), value=value, fresh=True)
+            assert window.until("ack", "refused")["row"]["track"] == number
+        two.send(op="box.add", id=two.new_id(), frame=3, box=two.new_id(), value=value)  # the same object, later
+        assert two.until("ack", "refused")["row"]["track"] == 40
 
 
 def test_several_sweeps_are_one_cloud_with_its_ages(live):
     with live.window() as client:
         alone = client.open(1)["layers"][0]
         several = client.open(1, sweeps=2)["layers"][0]
-        lacking = client.open(3, sweeps=2)
+        unlabelled = client.open(3, sweeps=2)
     assert (several["sweeps"], several["url"]) == (2, alone["url"] + "?sweeps=2")
     (one, _), (two, arrays) = (decode(live.get("/" + layer["url"])[2]) for layer in (alone, several))
     assert two["count"] == 2 * one["count"]
     field = next(each for each in two["fields"] if each["name"] == "lag_s")
     assert (round(field["low"], 3), round(field["high"], 3)) == (0.0, 0.1)
     assert len(np.unique(arrays["lag_s"])) == 2
-    assert lacking["layers"][0]["sweeps"] == 1
-    assert any("pose" in note for note in lacking["notes"])  # only frames with labels have one in this layout
+    assert unlabelled["layers"][0]["sweeps"] == 2  # its pose stands with its conditions, not with its labels
+
+
+class SlowPropagation:
+    """Propagates once it may, and counts how often it was called."""
+
+    def __init__(self) -> None:
+        self.calls, self.may = 0, threading.Event()
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        self.calls += 1
+        assert self.may.wait(20)
+        return propagate_track(*arguments, **options)
+
+
+def test_a_long_edit_that_comes_again_while_it_goes_on_is_made_once(live, monkeypatch):
+    slow = SlowPropagation()
+    monkeypatch.setattr(annotating, "propagate_track", slow)
+    with live.window() as client:
+        row = client.open(1)["boxes"][0]
+        edit = {"op": "track.propagate", "id": "again", "box": row["id"], "base": row["version"], "track": 5}
+        for _ in range(2):
+            client.send(**edit, first=1, last=2)
+        client.open(3)  # both have come
+        slow.may.set()
+        first = client.until("ack")
+        client.send(**edit, first=1, last=2)
+        assert client.until("ack")["seq"] == first["seq"]
+        assert slow.calls == 1
+        client.send(op="undo", id=client.new_id())
+        client.until("ack")

@@ -20,6 +20,7 @@ _CORNER_M, _THIN_M = 0.2, 0.4
 _SECTOR_M = 3.0  # beside the object, what rays are looked at
 _WITHIN_M = 0.1  # a ray that begins so much inside the outermost point still passes it
 _PASSED, _SHARE = 8, 0.15
+_RAY_STEP_M = 0.15
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,10 +60,7 @@ def ends_of(
     if prior.ego_z_m is None:
         return Ends(hit_m=hit, gap_m=np.full((2, 2), np.inf))
     ends, drop = _rays(points_m, ego, rectangle, turn)
-    height = ego[2] - ground.z_m(float(rectangle[0]), float(rectangle[1]))
-    low, high = _between(np.full(len(drop), height), drop, _LOW_M, _HIGH_M)
-    high = np.minimum(high, 1 - _SHORT_M / np.maximum(np.hypot(*ends.T), _SHORT_M))
-    low = np.maximum(low, 0.0)
+    low, high = _at_body(ends, drop, ego[2] - ground.z_m(float(rectangle[0]), float(rectangle[1])))
     gap = np.full((2, 2), np.inf)
     inner = max(half[1] - _INNER_M, _THIN_M / 2)
     bands = ((middle[1] - inner, middle[1] + inner), _lengthwise(hit[0]))
@@ -73,6 +71,45 @@ def ends_of(
         stretch = np.sort(np.stack([first, last])[:, free] * ends[free, axis], axis=0)
         gap[axis] = _gaps(stretch, hit[axis])
     return Ends(hit_m=hit, gap_m=gap)
+
+
+def passing_rays(
+    points_m: Float[np.ndarray, "n 3"], rectangle: Float[np.ndarray, " 5"], ground: Ground, prior: Prior
+) -> Float[np.ndarray, "m 2 2"]:
+    """Stretches near an object along which rays passed at the height of its body, shape (m, 2, 2): start and end.
+
+    Of the rays of one direction (0.15 m at the object's range) the longest stretch is taken; none where the sensor's
+    height is not certain.
+
+    Args:
+        points_m: All points of the frame.
+        rectangle: About where the object is, and how large at most: x, y, length, width, yaw.
+        ground: The ground about it.
+        prior: Where the sensor stands.
+    """
+    if prior.ego_z_m is None:
+        return np.zeros((0, 2, 2))
+    ego = np.array([*prior.ego_m, prior.ego_z_m])
+    ends, drop = _rays(points_m, ego, rectangle, np.eye(2))
+    low, high = _at_body(ends, drop, ego[2] - ground.z_m(float(rectangle[0]), float(rectangle[1])))
+    range_m, reach_m = float(np.hypot(*(rectangle[:2] - ego[:2]))), float(np.hypot(*rectangle[2:4]))
+    length_m = np.maximum(np.hypot(*ends.T), _SHORT_M)
+    low, high = np.maximum(low, (range_m - reach_m) / length_m), np.minimum(high, (range_m + reach_m) / length_m)
+    free = high > low
+    ends, low, high = ends[free], low[free], high[free]
+    direction = np.floor(np.arctan2(ends[:, 1], ends[:, 0]) * range_m / _RAY_STEP_M)
+    order = np.lexsort((-(high - low) * length_m[free], direction))
+    longest = order[np.flatnonzero(np.diff(direction[order], prepend=-np.inf))]
+    return ego[:2] + np.stack([ends * low[:, None], ends * high[:, None]], axis=1)[longest]
+
+
+def _at_body(
+    ends_m: Float[np.ndarray, "m 2"], drop_m: Float[np.ndarray, " m"], height_m: float
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """For which parts of their way rays are at the height of a body, and not yet at their end."""
+    low, high = _between(np.full(len(drop_m), height_m), drop_m, _LOW_M, _HIGH_M)
+    high = np.minimum(high, 1 - _SHORT_M / np.maximum(np.hypot(*ends_m.T), _SHORT_M))
+    return np.maximum(low, 0.0), high
 
 
 def _lengthwise(hit_m: Float[np.ndarray, " 2"]) -> tuple[float, float]:

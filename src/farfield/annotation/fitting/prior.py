@@ -28,6 +28,7 @@ class Prior:
         extent: What the data set's boxes stand for; boxes of visible parts do not grow to the prior.
         yaw_rad: Heading of the track, with its sign, or None.
         lane_rad: Heading of the lane or of the ego vehicle, whose sign is a guess, or None.
+        roads_rad: Headings along which vehicles drive about it, such as those of its neighbours; empty: only the lane.
         fixed_size: Whether the size is the track's and stays as it is.
         ego_m: x and y of the sensor in the points' coordinates.
         ego_z_m: And its z, where all points are of that one sensor: rays that went past the object are followed then.
@@ -41,6 +42,7 @@ class Prior:
     extent: Extent = "whole body"
     yaw_rad: float | None = None
     lane_rad: float | None = None
+    roads_rad: tuple[float, ...] = ()
     fixed_size: bool = False
     ego_m: tuple[float, float] = (0.0, 0.0)
     ego_z_m: float | None = None
@@ -76,7 +78,8 @@ class BoxFit:
         box: The box.
         points: Number of points inside it, the ground's left out.
         candidates: Other boxes, the best first.
-        criterion: What decided the yaw: ``closeness``, ``variance``, ``drag``, ``track``, ``lane`` or ``drawn``.
+        criterion: What decided the yaw: ``faces`` (its points), ``closeness``, ``variance``, ``drag``,
+            ``track``, ``lane`` or ``drawn``.
         heading: Where the sign of the heading is from; ``ask`` where nothing tells it: the page offers key G.
         ms: Time that the fit took, milliseconds.
         note: What the person should know, such as that too few points were there; empty where nothing.

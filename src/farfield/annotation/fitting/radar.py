@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.annotation.fitting.boxes import choose_heading
-from farfield.annotation.fitting.ground import fit_ground
+from farfield.annotation.fitting.ground import ground_ahead
 from farfield.annotation.fitting.prior import BoxFit, Prior, boxes_of
 from farfield.geometry.boxes import count_points_in_boxes, wrap_angle_rad
 from farfield.radar.axes import KRADAR_AXES, RadarAxes
@@ -23,7 +23,8 @@ def fit_radar_peak(
     """A box of the type's size with its near face at a peak of the radar's map.
 
     The peak is where the line from the sensor to the box's middle enters the box. The yaw is the track's or the lane's,
-    and the line of sight where neither is known. The bottom is the ground of the LiDAR's points about it.
+    and the line of sight where neither is known. The bottom is the ground of the LiDAR's points before it, see
+    :func:`~farfield.annotation.fitting.ground.ground_ahead`.
 
     Args:
         points_m: All points of the LiDAR, shape (n, 3), metres; may be none.
@@ -43,7 +44,7 @@ def fit_radar_peak(
     known_yaw = next((yaw for yaw in (prior.yaw_rad, prior.lane_rad) if yaw is not None), None)
     yaw, heading = choose_heading(float(np.arctan2(sight[1], sight[0])) if known_yaw is None else known_yaw, prior)
     x, y = peak + sight * _depth_m(sight, yaw, prior)
-    ground = fit_ground(points_m, (float(x), float(y)))
+    ground = ground_ahead(points_m, (float(x), float(y)), prior.ego_m)
     note = ""
     if ground.cells:
         bottom = ground.z_m(float(x), float(y))

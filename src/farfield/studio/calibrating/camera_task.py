@@ -21,7 +21,7 @@ from farfield.calibration.camera_edges import (
 from farfield.calibration.camera_pairs import calibrate_pairs, read_pairs, spread_notes
 from farfield.calibration.depth_edges import LidarEdges, sweep_edges
 from farfield.calibration.jobs import choose_frames, distance_note, information_distances, skew_note
-from farfield.calibration.least_squares import Progress
+from farfield.calibration.least_squares import Progress, Solution
 from farfield.calibration.saving import camera_files, holds_intrinsics, save_camera, save_camera_where_read
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
@@ -39,6 +39,7 @@ from farfield.studio.calibrating.task import (
 )
 from farfield.studio.messages.calibration import CalibFrame, CalibrationKind, CameraValues, Figure, Residuals
 from farfield.studio.options import CalibrationSettings
+from farfield.vocabulary.counts import count_of
 
 _LIMITS_PX = np.arange(-6.25, 6.5, 0.5)
 _READ = 0.7  # of the time of preparing
@@ -135,7 +136,12 @@ class CameraTask:
             Figure(name="pairs", value=float(len(off)), unit=""),
             Figure(name="pairs, rms", value=float(np.sqrt((off**2).mean())) if len(off) else None, unit="px"),
         )
-        sigma, notes = edge_uncertainty(camera, views) if full else (None, ())
+        sigma: Float[np.ndarray, " 6"] | None
+        notes: tuple[str, ...]
+        if now.solved is not None and isinstance(now.solved.detail, Solution):  # by pairs: their sigma, not the edges'
+            sigma, notes = now.solved.detail.sigma[: len(PARAMETERS)], now.solved.detail.unobserved
+        else:
+            sigma, notes = edge_uncertainty(camera, views) if full else (None, ())
         return Residuals(
             figures=figures,
             histogram=bars(away.across_px, _LIMITS_PX, "px"),
@@ -166,7 +172,7 @@ class CameraTask:
         _, notes = edge_uncertainty(after, views)
         distances = information_distances((before, after), self.data, self.indices, self.sensor, self.lidar)
         all_notes = (*notes, *skew_note(self._skewed, len(self.indices)), *distance_note(distances))
-        summary = f"aligned {len(views.points_m)} edges of {len(self.indices)} frames"
+        summary = f"aligned {len(views.points_m)} edges of {count_of(len(self.indices), 'frame')}"
         return CalibrationSolution(values=camera_values(after, self._begin), summary=summary, notes=all_notes)
 
     def save(self, now: Snapshot, folder: Path | None) -> list[Path]:
@@ -222,7 +228,10 @@ class CameraTask:
             notes.insert(0, f"pair {', '.join(map(str, far))}: too far off for a slip of the hand; look at it again")
         summary = f"solved from {len(used)} picked pairs{' with the focal length' if focal else ''}"
         return CalibrationSolution(
-            values=camera_values(calibration.camera, self._begin), summary=summary, notes=tuple(notes)
+            values=camera_values(calibration.camera, self._begin),
+            summary=summary,
+            notes=tuple(notes),
+            detail=calibration.solution,
         )
 
     def _hints(self, now: Snapshot, camera: Camera) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ from farfield.studio.messages.calibration import (
     Residuals,
 )
 from farfield.studio.options import CalibrationSettings
+from farfield.vocabulary.counts import count_of
 
 _LIMITS_CM = np.arange(-160.0, 161.0, 10.0)
 _MOST_POINTS = 2000
@@ -115,11 +116,12 @@ class RadarTask:
             calibration, pairs = appraise_radar(evidence, pose)
         except DatasetError as error:
             return Residuals(pairs=frame_pairs, lacking=str(error))
+        shown: RadarCalibration = calibration if now.solved is None else now.solved.detail  # what a save writes
         return Residuals(
             figures=_figures(calibration, len(frame_pairs)),
             histogram=bars(100 * calibration.range_m, _LIMITS_CM, "cm"),
-            known=observability(PARAMETERS, calibration.solution.sigma),
-            notes=calibration.notes,
+            known=observability(PARAMETERS, shown.solution.sigma),
+            notes=shown.notes,
             objects=_points(pose, pairs),
             pairs=frame_pairs,
         )
@@ -138,7 +140,7 @@ class RadarTask:
         matches = int(calibration.residual["matches"])
         return CalibrationSolution(
             values=radar_values(calibration.pose),
-            summary=f"solved from {matches} matched objects in {len(self.indices)} frames",
+            summary=f"solved from {matches} matched objects in {count_of(len(self.indices), 'frame')}",
             notes=calibration.notes,
             offsets=tuple(OffsetScore(frames=k, worse=float(v)) for k, v in sorted(offsets.items())),
             detail=calibration,

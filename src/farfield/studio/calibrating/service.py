@@ -14,9 +14,9 @@ from farfield.studio.calibrating.task import CalibrationSolution, CalibrationTas
 from farfield.studio.messages.calibration import MOST_PICKS, CalibState, CameraValues, PickRow, RadarValues
 from farfield.studio.options import CalibrationSettings
 from farfield.studio.showing.layers import camera_model
-from farfield.studio.showing.opened import plain_error
+from farfield.studio.showing.opened import plain_error, plain_remarks
 
-_MOST_STEPS = 1000
+_MOST_STEPS = _MOST_TAKEN = 1000
 _MAX_BYTES = 1 << 20
 _COPY = ".before-"
 
@@ -51,7 +51,7 @@ class CalibrationService:
     """
 
     def __init__(self, data: Dataset, settings: CalibrationSettings) -> None:
-        self.data, self.settings = data, settings
+        self.data, self.settings, self.remarks = data, settings, plain_remarks(data)
         self.task: CalibrationTask = (
             RadarTask(data, settings) if settings.kind == "radar-lidar" else CameraTask(data, settings)
         )
@@ -68,12 +68,23 @@ class CalibrationService:
         self.seq = 0
         self.ready = False
         self.job: str | None = None
+        self._taken: dict[str, None] = {}
         self._stop = False
 
     @property
     def now(self) -> Snapshot:
         """The calibration as it stands."""
         return self._steps[self._at]
+
+    def was_taken(self, message: str) -> bool:
+        """Whether a message was taken before, among the last thousand: one that comes again changes nothing."""
+        return message in self._taken
+
+    def note_taken(self, message: str) -> None:
+        """Note that a message was taken."""
+        self._taken[message] = None
+        while len(self._taken) > _MOST_TAKEN:
+            del self._taken[next(iter(self._taken))]
 
     def begin(self, job: str) -> None:
         """Let a job begin.
@@ -127,7 +138,7 @@ class CalibrationService:
             self._push(replace(self.now, values=values, solved=None))
 
     def pick(self, frame: int, point_m: tuple[float, float, float], pixel: tuple[float, float]) -> None:
-        """Add a pair.
+        """Add a pair, unless it is there already, as two windows that recover send the same pairs.
 
         Raises:
             CalibrationError: If there are too many, or no pairs are picked here.
@@ -136,6 +147,8 @@ class CalibrationService:
             raise CalibrationError("kind", "pairs are picked for a camera only")
         if all(served.index != frame for served in self.task.frames):
             raise CalibrationError("frame", f"frame {frame} is not among those that serve", "go to one of them")
+        if any((pick.frame, pick.point_m, pick.pixel) == (frame, point_m, pixel) for pick in self.now.picks):
+            return
         if len(self.now.picks) >= MOST_PICKS:
             raise CalibrationError("full", f"{MOST_PICKS} pairs are picked", "remove some")
         number = 1 + max((served.number for served in self.now.picks), default=0)
@@ -233,7 +246,7 @@ class CalibrationService:
             picks=self._picks(),
             solved="" if now.solved is None else now.solved.summary,
             offsets=() if now.solved is None else now.solved.offsets,
-            notes=() if now.solved is None else now.solved.notes,
+            notes=() if now.solved is None else (*now.solved.notes, *self.remarks),
             undo=self._at > 0,
             redo=self._at < len(self._steps) - 1,
             unsaved=values != self._saved,

@@ -18,6 +18,8 @@ Deliver = Callable[["InferJob", int, Boxes], Awaitable[None]]
 _LOG = logging.getLogger(__name__)
 _REPORT_S = 0.2
 """Progress is reported at most so often."""
+_MOST_ENDED = 200
+"""Jobs that have ended and are remembered, for requests that come again."""
 
 
 @dataclass(eq=False)
@@ -154,4 +156,7 @@ class Jobs:
         job.frames.clear()
         if job in self._waiting:
             self._waiting.remove(job)
+        ended = [name for name, other in self.jobs.items() if other.state not in ("queued", "running")]
+        for name in ended[:-_MOST_ENDED]:
+            del self.jobs[name]
         self.tell(job)

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from farfield.studio.messages.calibration import CalibReply
 from farfield.studio.messages.rows import (
+    VERSION,
     AnyBox,
     Bookmark,
     BoxRow,
@@ -22,12 +23,28 @@ from farfield.studio.messages.rows import (
     RemovedRow,
     TrackRow,
     Trail,
+    UnwrittenRow,
     message,
     plain,
 )
 
-VERSION = 1
-"""Of these messages; a page of another version is sent away with bye."""
+
+@message
+class LabelState:
+    """What the label files hold of the journal, and where, in which format and when the next save writes."""
+
+    op: Literal["labels"] = "labels"
+    answers: str = ""  # the request that made it so
+    unwritten: int  # edits of boxes that are in the journal only
+    written_ns: Nanoseconds | None = None  # of the last save; None: there was none
+    folder: str = ""  # where that wrote to, in words
+    format: str = ""
+    left: int = 0  # boxes that it could not write
+    next_folder: str  # where the next one writes to, in words
+    next_format: str
+    name: str | None = None  # of the folder that was chosen
+    itself: bool = False  # whether labels are also written every half minute
+    at_exit: bool = False
 
 
 @message
@@ -39,6 +56,7 @@ class Welcome:
     farfield: str
     mode: Literal["view", "annotate", "calibrate"]
     data: str  # name of the data set
+    store: str  # tells this annotation from others that the same address serves at other times; no path
     title: str
     frames: int
     drives: tuple[DriveRow, ...]
@@ -56,14 +74,18 @@ class Welcome:
     extent: Literal["full", "visible"] | None
     first: int = 0  # frame to show first
     formats: tuple[str, ...] = ()  # in which labels can be saved
-    saves_to: str = ""
+    written: LabelState | None = None
+    drive: str = ""  # whose tracks those are
     undo: bool = False
     redo: bool = False
 
 
 @message
 class FrameState:
-    """A frame as it stands: boxes, layers, predictions with their matching, trails."""
+    """A frame as it stands: boxes, layers, predictions with their matching, trails.
+
+    ``seq`` is the number of the last edit that it holds for sure.
+    """
 
     op: Literal["frame.state"] = "frame.state"
     frame: FrameInfo
@@ -72,6 +94,8 @@ class FrameState:
     predicted: tuple[PredictedFrame, ...] = ()
     trails: tuple[Trail, ...] = ()
     notes: tuple[str, ...] = ()  # what is missing and why, a sentence each
+    unreadable: str = ""  # why nothing of the frame can be shown; empty: it can
+    seq: int = 0
 
 
 @message
@@ -96,6 +120,7 @@ class Ack:
     row: BoxRow | None = None
     undo: bool = True
     redo: bool = False
+    unwritten: int = 0  # edits of boxes that are in the journal only
 
 
 @message
@@ -124,7 +149,10 @@ class Refused:
 
 @message
 class Changed:
-    """Boxes and tracks as they now stand, after an edit of another window, of a tool, or an undo (sent to all)."""
+    """Boxes and tracks as they now stand, after an edit of another window, of a tool, or an undo (sent to all).
+
+    Its own window gets it before the ack. ``drive`` is that of the tracks.
+    """
 
     op: Literal["changed"] = "changed"
     seq: int
@@ -134,10 +162,12 @@ class Changed:
     rows: tuple[PlacedRow, ...] = ()
     removed: tuple[RemovedRow, ...] = ()
     tracks: tuple[TrackRow, ...] = ()
+    drive: str = ""
     show: int | None = None  # frame to go to, for the window that asked
     sentence: str = ""
     undo: bool = True
     redo: bool = False
+    unwritten: int = 0  # edits of boxes that are in the journal only
 
 
 @message
@@ -175,12 +205,43 @@ class Fitted:
 
 
 @message
+class Proposals:
+    """How many proposals of a score or more there are: ``seq`` is the ``base``, the counts are those of box.accept."""
+
+    op: Literal["proposals"] = "proposals"
+    id: str
+    frame: int
+    score: float
+    seq: int
+    here: int  # in the frame
+    count: int  # in its drive
+    frames: int  # of the drive that have any
+    first: int  # frame of the drive
+    last: int
+
+
+@message
 class Checks:
-    """Findings of a frame, or of all frames (``frame`` None)."""
+    """Findings of a frame that is shown."""
 
     op: Literal["checks"] = "checks"
-    frame: int | None
+    frame: int
     rows: tuple[CheckRow, ...]
+
+
+@message
+class DriveChecks:
+    """Findings of some frames of a drive, in place of what was known of these; for windows that asked by check.list.
+
+    They come in parts, while the drive is checked and after each edit. ``drive`` is empty for frames of none.
+    """
+
+    op: Literal["drive.checks"] = "drive.checks"
+    drive: str
+    frames: tuple[int, ...]
+    rows: tuple[CheckRow, ...]
+    done: int  # frames that are checked with their points
+    total: int
 
 
 @message
@@ -216,11 +277,12 @@ class Bookmarks:
 
     op: Literal["bookmarks"] = "bookmarks"
     rows: tuple[Bookmark, ...]
+    answers: str = ""  # the request that made them so
 
 
 @message
 class Saved:
-    """Label files were written."""
+    """Label files were written; ``unwritten`` boxes stay in the journal only, with what their files held before."""
 
     op: Literal["saved"] = "saved"
     id: str
@@ -229,6 +291,7 @@ class Saved:
     saved_ns: Nanoseconds
     folder: str
     sentence: str = ""
+    unwritten: tuple[UnwrittenRow, ...] = ()
 
 
 @message
@@ -267,6 +330,7 @@ class Bye:
 
 Reply = (
     Welcome
+    | LabelState
     | FrameState
     | Predicted
     | Ack
@@ -275,7 +339,9 @@ Reply = (
     | Changed
     | Previewed
     | Fitted
+    | Proposals
     | Checks
+    | DriveChecks
     | Matches
     | Job
     | Bookmarks

@@ -1,5 +1,7 @@
 """What the page sends. ``id`` is the page's own: a message sent again after a lost reply is recognised by it."""
 
+import json
+import re
 from functools import lru_cache
 from typing import Annotated, Any, Literal
 
@@ -8,6 +10,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 from farfield.errors import ConfigError, fault_of
 from farfield.studio.messages.calibration import CalibRequest
 from farfield.studio.messages.rows import (
+    VERSION,
+    BoxName,
     BoxNumbers,
     BoxValue,
     Count,
@@ -31,7 +35,7 @@ class Hello:
     op: Literal["hello"] = "hello"
     window: Name
     annotator: Word = ""
-    version: int = 1
+    version: int = VERSION
 
 
 @message
@@ -55,7 +59,7 @@ class BoxSet:
     op: Literal["box.set"] = "box.set"
     id: Name
     frame: Index
-    box: Name
+    box: BoxName
     base: Count
     value: BoxValue
     group: Name | None = None
@@ -63,14 +67,18 @@ class BoxSet:
 
 @message
 class BoxAdd:
-    """Add a box under an identity that the page makes up."""
+    """Add a box under an identity that the page makes up.
+
+    ``fresh``: its track is to be a new object's; where the drive has one of this number by now, the box gets another.
+    """
 
     op: Literal["box.add"] = "box.add"
     id: Name
     frame: Index
-    box: Name
+    box: BoxName
     value: BoxValue
     group: Name | None = None
+    fresh: bool = False
 
 
 @message
@@ -80,40 +88,66 @@ class BoxDelete:
     op: Literal["box.delete"] = "box.delete"
     id: Name
     frame: Index
-    box: Name
+    box: BoxName
     base: Count
     group: Name | None = None
 
 
 @message
+class BoxAccept:
+    """Accept all proposals of ``score`` or more from frame ``first`` to ``last``, in the drive of ``frame``.
+
+    ``count`` and ``base`` are those of the answer to proposals.count: what was told of is accepted, nothing else.
+    """
+
+    op: Literal["box.accept"] = "box.accept"
+    id: Name
+    frame: Index
+    first: Index
+    last: Index
+    score: Part
+    count: Count
+    base: Count
+
+
+@message
 class TrackSet:
-    """Set what holds for a track: class, locked size, last frame. ``ends`` -1: no end. None leaves as it is."""
+    """Set what holds for a track of a frame's drive: class, locked size, last frame. ``ends`` -1: no end.
+
+    None leaves as it is. ``box``, of version ``box_base``, is that of the track that was shown in the frame.
+    """
 
     op: Literal["track.set"] = "track.set"
     id: Name
+    frame: Index
     track: Track
     base: Count
     class_name: Word | None = None
     size_locked: bool | None = None
     size: tuple[Size, Size, Size] | None = None
     ends: Annotated[int, Field(ge=-1)] | None = None
+    box: BoxName
+    box_base: Count
 
 
 @message
 class TrackMerge:
-    """Make one track a part of another."""
+    """Make one track of a frame's drive a part of another. ``box``, of version ``box_base``: shown in the frame."""
 
     op: Literal["track.merge"] = "track.merge"
     id: Name
+    frame: Index
     track: Track
     into: Track
     base: Count
     into_base: Count
+    box: BoxName
+    box_base: Count
 
 
 @message
 class TrackSplit:
-    """Give the boxes of a track from a frame on a new number."""
+    """Give the boxes of a track from a frame on a new number. ``box``, of version ``box_base``: shown in the frame."""
 
     op: Literal["track.split"] = "track.split"
     id: Name
@@ -121,14 +155,22 @@ class TrackSplit:
     frame: Index
     new_track: Track
     base: Count
+    box: BoxName
+    box_base: Count
 
 
 @message
 class TrackInterpolate:
-    """Fill the frames between keyframes, from ``first`` to ``last``."""
+    """Fill the frames between keyframes, from ``first`` to ``last``.
+
+    ``box`` is that of the track in the ``frame`` that was shown, ``base`` its version there.
+    """
 
     op: Literal["track.interpolate"] = "track.interpolate"
     id: Name
+    frame: Index
+    box: BoxName
+    base: Count
     track: Track
     first: Index
     last: Index
@@ -136,10 +178,16 @@ class TrackInterpolate:
 
 @message
 class TrackPropagate:
-    """Carry a track on by its motion, from frame ``first`` to ``last`` (backwards if it is smaller)."""
+    """Carry a track on by its motion, from frame ``first`` to ``last`` (backwards if it is smaller).
+
+    ``box`` is that of the track in ``first``, ``base`` its version that was shown. To the next frame it always comes:
+    where its points do not decide, its motion does, and the box's source is ``predicted``.
+    """
 
     op: Literal["track.propagate"] = "track.propagate"
     id: Name
+    box: BoxName
+    base: Count
     track: Track
     first: Index
     last: Index
@@ -152,7 +200,7 @@ class Preview:
 
     op: Literal["preview"] = "preview"
     frame: Index
-    box: Name
+    box: BoxName
     value: BoxNumbers
 
 
@@ -196,11 +244,21 @@ class Redo:
 
 
 @message
+class ProposalsCount:
+    """Ask how many proposals of a score or more a frame and its drive have; answered by proposals."""
+
+    op: Literal["proposals.count"] = "proposals.count"
+    id: Name
+    frame: Index
+    score: Part
+
+
+@message
 class CheckList:
-    """Ask for the checks of a frame; of all frames if None."""
+    """Ask for the findings of the whole drive of a frame, and to be told from then on what changes of them."""
 
     op: Literal["check.list"] = "check.list"
-    frame: Index | None = None
+    frame: Index
 
 
 @message
@@ -246,8 +304,22 @@ class BookmarkSet:
 
 
 @message
+class SaveChoose:
+    """Choose where labels are written to and in which format, for all windows, and whether also when the studio ends.
+
+    ``format`` empty: their own; ``folder``: a name beside the data set's other saves; None: where saves go.
+    """
+
+    op: Literal["save.choose"] = "save.choose"
+    id: Name
+    format: Word = ""
+    folder: FileName | None = None
+    at_exit: bool = False
+
+
+@message
 class Save:
-    """Write the label files now. ``folder``: a name beside the data set's other saves; None: where saves go."""
+    """Write the label files now, as :class:`SaveChoose` has it where neither format nor folder is given."""
 
     op: Literal["save"] = "save"
     id: Name
@@ -284,7 +356,7 @@ class Timing:
 
     op: Literal["timing"] = "timing"
     frame: Index
-    box: Name
+    box: BoxName
     seconds: Annotated[float, Field(ge=0.0, le=3600.0)]
     edits: Count = 0
 
@@ -297,19 +369,13 @@ class MatchList:
     threshold: Part = 0.0
 
 
-Edit = BoxSet | BoxAdd | BoxDelete | TrackSet | TrackMerge | TrackSplit | TrackInterpolate | TrackPropagate
+Edit = BoxSet | BoxAdd | BoxDelete | BoxAccept | TrackSet | TrackMerge | TrackSplit | TrackInterpolate | TrackPropagate
 """What changes the annotation, and is answered by ack, conflict or refused."""
 
 
-def frame_of(edit: Edit) -> int | None:
-    """A frame of the drive that an edit changes; None where it names a track alone."""
-    match edit:
-        case BoxSet() | BoxAdd() | BoxDelete() | TrackSplit():
-            return edit.frame
-        case TrackInterpolate() | TrackPropagate():
-            return edit.first
-        case TrackSet() | TrackMerge():
-            return None
+def frame_of(edit: Edit | ProposalsCount) -> int:
+    """The frame that was shown when an edit was made: it changes nothing of other drives."""
+    return edit.first if isinstance(edit, TrackPropagate) else edit.frame
 
 
 def group_of(edit: Edit) -> str | None:
@@ -323,6 +389,7 @@ Request = Annotated[
     | BoxSet
     | BoxAdd
     | BoxDelete
+    | BoxAccept
     | TrackSet
     | TrackMerge
     | TrackSplit
@@ -332,11 +399,13 @@ Request = Annotated[
     | Fit
     | Undo
     | Redo
+    | ProposalsCount
     | CheckList
     | CheckIgnore
     | InferStart
     | InferCancel
     | BookmarkSet
+    | SaveChoose
     | Save
     | Export
     | PolicySet
@@ -351,6 +420,19 @@ Request = Annotated[
 @lru_cache(maxsize=1)
 def _adapter() -> Any:
     return TypeAdapter(Request)
+
+
+_MOST_TEXT = 1 << 20
+
+
+def id_of(text: str | bytes) -> str | None:
+    """The ``id`` by which its sender knows a message that :func:`read_request` refuses; None where it has none."""
+    try:  # NaN, halves of characters, digits without end: what may have been refused
+        fields = json.loads(text, parse_int=str) if len(text) <= _MOST_TEXT else None
+    except (ValueError, RecursionError):
+        return None
+    id = fields.get("id") if isinstance(fields, dict) else None
+    return id if isinstance(id, str) and re.fullmatch(r"[A-Za-z0-9._:+-]{1,64}", id) else None
 
 
 def read_request(text: str | bytes) -> Any:

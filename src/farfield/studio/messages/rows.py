@@ -20,10 +20,14 @@ def message(cls: type[T]) -> type[T]:
     return dataclass(frozen=True, kw_only=True)(cls)
 
 
+VERSION = 3
+"""Of these messages; a page of another version is sent away with bye."""
 MOST_FRAMES = 10_000_000
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9._:+-]+$")]
 """An identity that a client makes up, or a name of ours: letters, digits and ``. _ - : +``."""
+BoxName = Annotated[str, Field(min_length=1, max_length=96, pattern=r"^[A-Za-z0-9._:+-]+$")]
+"""A box of a drive: the number of its frame, a colon, and its name within the frame."""
 FileName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9._-]+$")]
 Word = Annotated[str, Field(max_length=128)]
 Note = Annotated[str, Field(max_length=2000)]
@@ -44,7 +48,7 @@ AnyBox = tuple[float, float, float, float, float, float, float]
 """The same as files hold them: within no bounds."""
 Matrix = Annotated[tuple[float, ...], Field(min_length=16, max_length=16)]
 """A 4 x 4 matrix, row by row."""
-Attributes = Annotated[dict[Word, str | int | float | bool | None], Field(max_length=64)]
+Attributes = Annotated[dict[Word, Note | int | float | bool | None], Field(max_length=64)]
 
 
 def plain(value: Any) -> Any:
@@ -59,7 +63,7 @@ def plain(value: Any) -> Any:
 
 
 State = Literal["proposed", "edited", "accepted", "rejected"]
-Source = Literal["lidar", "radar", "camera", "interpolated", "propagated", "detector"]
+Source = Literal["lidar", "radar", "camera", "interpolated", "propagated", "predicted", "detector"]
 Severity = Literal["info", "warning", "error"]
 SensorKind = Literal["lidar", "radar", "camera"]
 LayerKind = Literal["points", "bev", "bfs", "image"]
@@ -80,7 +84,7 @@ class BoxValue:
 
 @message
 class BoxRow:
-    """A box of a frame as it stands. ``version`` is what an edit gives as its ``base``."""
+    """A box of a frame as it stands. No other of the data set has its ``id``; an edit gives ``version`` as ``base``."""
 
     id: str
     track: int | None
@@ -94,7 +98,7 @@ class BoxRow:
     points: int | None = None  # LiDAR points inside; None: not counted
     radar_points: int | None = None
     distance_m: float = 0.0  # of the centre from the origin, in the plane
-    keyframe: bool = True  # False: the tool made it (interpolated, propagated)
+    keyframe: bool = True  # False: the tool made it (interpolated, propagated, predicted)
     visibility: str | None = None
     moving: bool | None = None
     proposal: AnyBox | None = None  # the detector's box, kept beside what became of it
@@ -128,6 +132,15 @@ class RemovedRow:
 
     frame: int
     id: str
+
+
+@message
+class UnwrittenRow:
+    """A box that its label file cannot hold, and why; ``box`` None where it is the file as a whole."""
+
+    frame: int
+    box: str | None
+    sentence: str
 
 
 @message
@@ -212,7 +225,7 @@ class DriveRow:
 
 @message
 class ClassSpec:
-    """A class: its preset size and its colour (``#rrggbb``); ``types`` are finer sizes, such as a van."""
+    """A class: its preset size, where that is from, its colour (``#rrggbb``); ``types`` are finer sizes, as of vans."""
 
     name: str
     title: str
@@ -221,6 +234,7 @@ class ClassSpec:
     key: str = ""  # the digit that sets it
     group: Literal["vehicle", "person", "two_wheeler", "other"] = "vehicle"
     types: tuple["TypeSpec", ...] = ()
+    source: str = ""
 
 
 @message
@@ -243,6 +257,7 @@ class CheckRow:
     severity: Severity
     sentence: str
     ignored: str | None = None  # the reason that a person gave
+    at: tuple[float, float] | None = None  # x and y in the frame
 
 
 @message

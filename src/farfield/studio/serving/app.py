@@ -1,6 +1,7 @@
 """The routes: the page, layers, pictures, radar maps, health, and the WebSocket."""
 
 import asyncio
+import itertools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -8,16 +9,18 @@ from typing import Any, TypeVar
 from urllib.parse import urlencode
 
 from starlette.applications import Starlette
-from starlette.requests import Request
+from starlette.convertors import IntegerConvertor, register_url_convertor
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from farfield.errors import FarfieldError
-from farfield.studio.messages.replies import VERSION, Bye, Refused, write_reply
-from farfield.studio.messages.requests import Edit, Hello, Redo, Undo, read_request
+from farfield.studio.messages.replies import Bye, Refused, write_reply
+from farfield.studio.messages.requests import Edit, Hello, Redo, Undo, id_of, read_request
+from farfield.studio.messages.rows import VERSION
 from farfield.studio.serving.guard import App
-from farfield.studio.session import annotating, calibrating, detecting, exporting, viewing
+from farfield.studio.session import annotating, calibrating, checking, detecting, exporting, saving, viewing
 from farfield.studio.session.frame_cache import first_of
 from farfield.studio.session.session import ClientWindow, Session
 from farfield.studio.showing.opened import STATIC, Payload, plain_error
@@ -33,10 +36,19 @@ _KINDS = {
     ".json": "application/json",
     ".woff2": "font/woff2",
 }
-HANDLER_MODULES = (annotating, calibrating, detecting, exporting, viewing)
+HANDLER_MODULES = (annotating, calibrating, checking, detecting, exporting, saving, viewing)
 """Importing them registers what answers the page's messages."""
 _PAGES = ("index.html", "calibrate.html")
 _NO_PAGE = "The page is not built: run `npm ci && npm run build` in web/, or install a wheel, which holds it."
+
+
+class _NumberConvertor(IntegerConvertor):
+    """Numbers of nine digits at most: int() refuses thousands of them, and there is nothing of such a number."""
+
+    regex = "[0-9]{1,9}"
+
+
+register_url_convertor("number", _NumberConvertor())
 
 
 def make_app(session: Session, *, static: Path = STATIC) -> App:
@@ -49,9 +61,9 @@ def make_app(session: Session, *, static: Path = STATIC) -> App:
     routes = [
         Route("/health", _health),
         Route("/", _static),
-        Route("/layer/{frame:int}/{layer:int}", _layer),
-        Route("/image/{frame:int}/{layer:int}", _image),
-        Route("/radar/{frame:int}/{kind:str}", _radar),
+        Route("/layer/{frame:number}/{layer:number}", _layer),
+        Route("/image/{frame:number}/{layer:number}", _image),
+        Route("/radar/{frame:number}/{kind:str}", _radar),
         Route("/shot", _shot, methods=["POST"]),
         Route("/export/{job:str}", _export),
         WebSocketRoute("/socket", socket),
@@ -105,17 +117,29 @@ async def _image(request: Request) -> Response:
     return await _payload(request, lambda session: session.opened.picture(frame, layer, exact=exact))
 
 
+MOST_REACH_M = 30.0
+"""So far from a place a window may ask for a radar's cells."""
+
+
 async def _radar(request: Request) -> Response:
     frame, kind = request.path_params["frame"], request.path_params["kind"]
+    if kind == "near":
+        centre_m, reach_m = (_metres(request, "x", 0.0), _metres(request, "y", 0.0)), _metres(request, "reach", 8.0)
+        return await _payload(
+            request, lambda session: session.opened.radar_near(frame, centre_m, min(reach_m, MOST_REACH_M))
+        )
     if kind not in ("bev", "bfs"):
-        return PlainTextResponse("radar: expected bev or bfs", 404)
+        return PlainTextResponse("radar: expected bev, bfs or near", 404)
     low, high = _metres(request, "low", 0.0), _metres(request, "high", float("inf"))
     return await _payload(request, lambda session: session.opened.radar_map(frame, kind, low, high))
 
 
 async def _shot(request: Request) -> Response:
     session: Session = request.app.state.session
-    body = await request.body()
+    try:
+        body = await request.body()
+    except ClientDisconnect:  # whoever sent it went away: nobody waits for an answer
+        return Response(status_code=400)
     name = await in_thread(request, lambda: session.exports.keep(body))
     return JSONResponse({"shot": name}, 201)
 
@@ -236,7 +260,10 @@ async def _greeted(connection: WebSocket, session: Session) -> ClientWindow | No
     """The window, once it has said hello; None if it was sent away."""
     try:
         hello = read_request(await asyncio.wait_for(connection.receive_text(), _HELLO_S))
-    except (FarfieldError, TimeoutError, KeyError):
+    except TimeoutError:  # a tab that was frozen as its socket opened says hello later: it may come again
+        await connection.close(1013)
+        return None
+    except (FarfieldError, KeyError):
         hello = None
     except WebSocketDisconnect:
         return None
@@ -261,14 +288,15 @@ def _why_not(hello: Any, session: Session) -> str:
 
 
 async def _sent_away(connection: WebSocket, reason: str) -> None:
-    await connection.send_text(write_reply(Bye(reason=reason)))
+    await connection.send_text('{"n":1,' + write_reply(Bye(reason=reason))[1:])
     await connection.close(1008)
 
 
 async def _send(connection: WebSocket, window: ClientWindow) -> None:
-    while True:
+    for number in itertools.count(1):  # by which the page knows that one was lost or came twice
         reply = await window.replies.get()
-        await connection.send_text(reply if isinstance(reply, str) else write_reply(reply))
+        text = reply if isinstance(reply, str) else write_reply(reply)
+        await connection.send_text(f'{{"n":{number},{text[1:]}')
         if isinstance(reply, Bye):
             await connection.close(1001)
             return
@@ -285,7 +313,7 @@ async def _receive(connection: WebSocket, session: Session, window: ClientWindow
             request = read_request(text)
         except FarfieldError as error:
             bad += 1
-            window.send(Refused(id=None, code="message", sentence=str(error), mend="reload the page"))
+            window.send(Refused(id=id_of(text), code="message", sentence=str(error), mend="reload the page"))
             if bad == BAD_MESSAGES:
                 window.send(Bye(reason="this window sends messages that are none: reload it"))
             continue

@@ -118,6 +118,7 @@ def refusal(method: str, headers: Mapping[str, list[str]], *, socket: bool = Fal
 
 BODY_BYTES = 8 << 20
 """Longest body of a request."""
+_LENGTH_DIGITS = 10
 TOKEN_S = 600.0
 """How long a link may be used."""
 Scope = MutableMapping[str, Any]
@@ -191,7 +192,7 @@ class Guard:
             await answer(send, 403, f"This window was not let in. {USED}")
             return
         length = headers.get("content-length", ["0"])[0]
-        if not length.isdecimal() or int(length) > BODY_BYTES:
+        if not length.isdecimal() or len(length) > _LENGTH_DIGITS or int(length) > BODY_BYTES:
             await answer(send, 413, _too_large())
             return
         await self.app(scope, _BoundedBody(receive), send)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import uvicorn
 
 from farfield.errors import ConfigError
+from farfield.jobs.process import pythons_interrupt
 from farfield.studio.options import StudioSettings
 from farfield.studio.serving.guard import AccessTokens, App, Guard, Receive, Scope, Send, answer
 from farfield.vocabulary.studio import STUDIO_PORT
@@ -77,7 +78,8 @@ def listening(port: int | None) -> socket.socket:
 
 
 def _say(line: str) -> None:
-    print(line, flush=True)
+    with contextlib.suppress(OSError):  # a terminal that is gone: the work goes on and is saved
+        print(line, flush=True)
 
 
 def serve(
@@ -100,7 +102,7 @@ def serve(
     Raises:
         FarfieldError: If the data set cannot be opened or the port is taken.
     """
-    with contextlib.closing(listening(port)) as listener, contextlib.suppress(KeyboardInterrupt):
+    with contextlib.closing(listening(port)) as listener, contextlib.suppress(KeyboardInterrupt), pythons_interrupt():
         asyncio.run(serving(listener, open_data, settings, browser=browser, say=say))
     return 0
 
@@ -140,7 +142,7 @@ async def serving(
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             if server.session is not None:
-                await _save_and_close(server.session)
+                await _save_and_close(server.session, say)
 
 
 def _config(app: App) -> uvicorn.Config:
@@ -182,7 +184,7 @@ async def _open(
     await session.in_thread(lambda: session.open(open_data()))
     session.let_in()
     if session.annotating is not None:
-        from farfield.studio.session.annotating import autosave
+        from farfield.studio.session.saving import autosave
 
         session.aside(None, None, autosave(session))
         session.aside(None, None, _import_scipy())
@@ -201,12 +203,15 @@ async def _import_scipy() -> None:
     await asyncio.to_thread(import_module, "scipy.spatial")
 
 
-async def _save_and_close(session: "Session") -> None:
-    from farfield.studio.session.annotating import save_now
+async def _save_and_close(session: "Session", say: Say) -> None:
+    from farfield.studio.session.saving import save_at_exit
 
-    if session.ready:
-        await save_now(session)
-    await session.close()
+    try:
+        sentence = await save_at_exit(session) if session.ready else ""
+        if sentence:
+            say(sentence)
+    finally:
+        await session.close()
 
 
 def link(entry: AccessTokens) -> str:

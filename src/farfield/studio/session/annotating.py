@@ -1,4 +1,4 @@
-"""What windows that annotate ask for: edits, undo, fits, checks, saves.
+"""What windows that annotate ask for: edits, undo, fits, findings let stand.
 
 The path of an edit to the disk:
 
@@ -33,21 +33,17 @@ from farfield.annotation.edits import (
     split_track,
 )
 from farfield.annotation.errors import ConflictError, RefusedError
-from farfield.annotation.store import REDO, UNDO, Author, EditResult, Store, redo, undo
-from farfield.datasets.edits import CellEdit
-from farfield.errors import FarfieldError
+from farfield.annotation.proposals import ProposalRange, accept_proposals, proposals_of
+from farfield.annotation.store import REDO, UNDO, Author, EditResult, Store, no_change, redo, undo
+from farfield.datasets.edits import CellEdit, Record
 from farfield.frame import Boxes, Key
 from farfield.studio.inferring.jobs import InferJob
 from farfield.studio.messages import requests
-from farfield.studio.messages.replies import Ack, Changed, Checks, Failure, PolicyIs, Saved
+from farfield.studio.messages.replies import Ack, Changed, PolicyIs, Proposals
 from farfield.studio.messages.rows import BoxValue
+from farfield.studio.session.checking import check_edited, check_soon, shown_frames
 from farfield.studio.session.session import HANDLERS, ClientWindow, Session, handles
 from farfield.studio.showing.annotations import AnnotationService
-from farfield.studio.showing.opened import plain_error
-
-AUTOSAVE_S = 30.0
-_PAUSE_S, _LONGEST_S = 0.05, 1.0  # without edits before a frame is checked, and how long it may wait
-_EDITS_SAFE = "your edits are safe in the journal; fix the cause and save again"
 
 P = TypeVar("P", bound=Callable[..., Sequence[CellEdit]])
 R = TypeVar("R", bound=requests.Edit)
@@ -109,7 +105,7 @@ async def edit(
 ) -> None:
     """Make an edit; it is acknowledged once it is on the disk."""
     annotation = session.annotation
-    planned = PlannedEdit(plan, request, _drive(session, window, request), annotation)
+    planned = PlannedEdit(plan, request, _drive(session, request), annotation)
     await _commit(session, window, request.id, partial(planned.make, _author(window)))
 
 
@@ -117,10 +113,9 @@ def _author(window: ClientWindow) -> Author:
     return Author(window.annotator, window.id)
 
 
-def _drive(session: Session, window: ClientWindow, request: requests.Edit) -> str:
-    """The drive to which the tracks of an edit belong: that of its frame, else of the one that the window shows."""
+def _drive(session: Session, request: requests.Edit | requests.ProposalsCount) -> str:
+    """The drive to which the tracks of an edit belong: that of the frame that it names."""
     frame = requests.frame_of(request)
-    frame = (window.frame or 0) if frame is None else frame
     session.opened.check(frame)
     return session.annotation.drive_of(frame)
 
@@ -159,24 +154,39 @@ def _value(value: BoxValue, annotation: AnnotationService) -> dict[str, Any]:
 def _box_set(store: Store, planned: PlannedEdit[requests.BoxSet]) -> Sequence[CellEdit]:
     request = planned.request
     value = _value(request.value, planned.annotation)
-    return set_box(store, _key(store, request.frame), request.box, request.base, value)
+    name = planned.annotation.box_name(request.frame, request.box)
+    return set_box(store, _key(store, request.frame), name, request.base, value)
 
 
 @plans(requests.BoxAdd)
 def _box_add(store: Store, planned: PlannedEdit[requests.BoxAdd]) -> Sequence[CellEdit]:
     request = planned.request
-    return add_box(store, _key(store, request.frame), request.box, _value(request.value, planned.annotation))
+    name = planned.annotation.box_name(request.frame, request.box) if ":" in request.box else request.box
+    key, value = _key(store, request.frame), _value(request.value, planned.annotation)
+    if request.fresh and value["track"] and store.tracks.boxes(planned.drive, value["track"]):
+        value["track"] = store.tracks.new(planned.drive)
+    return add_box(store, key, name, value)
 
 
 @plans(requests.BoxDelete)
 def _box_delete(store: Store, planned: PlannedEdit[requests.BoxDelete]) -> Sequence[CellEdit]:
     request = planned.request
-    return delete_box(store, _key(store, request.frame), request.box, request.base)
+    name = planned.annotation.box_name(request.frame, request.box)
+    return delete_box(store, _key(store, request.frame), name, request.base)
+
+
+@plans(requests.BoxAccept)
+def _box_accept(store: Store, planned: PlannedEdit[requests.BoxAccept]) -> Sequence[CellEdit]:
+    request = planned.request
+    first, last = (_row_in_drive(store, frame, planned.drive) for frame in (request.first, request.last))
+    meant = ProposalRange(drive=planned.drive, first=first, last=last, score=request.score)
+    return accept_proposals(store, meant, count=request.count, base=request.base)
 
 
 @plans(requests.TrackSet)
 def _track_set(store: Store, planned: PlannedEdit[requests.TrackSet]) -> Sequence[CellEdit]:
     request = planned.request
+    _require_shown(planned)
     ends = None if request.ends is None else "" if request.ends < 0 else _key(store, request.ends)[1]
     return set_track(
         store,
@@ -193,6 +203,7 @@ def _track_set(store: Store, planned: PlannedEdit[requests.TrackSet]) -> Sequenc
 @plans(requests.TrackMerge)
 def _track_merge(store: Store, planned: PlannedEdit[requests.TrackMerge]) -> Sequence[CellEdit]:
     request = planned.request
+    _require_shown(planned)
     track, into = planned.track_name(request.track), planned.track_name(request.into)
     return merge_tracks(store, planned.drive, track, into, request.base, request.into_base)
 
@@ -200,13 +211,21 @@ def _track_merge(store: Store, planned: PlannedEdit[requests.TrackMerge]) -> Seq
 @plans(requests.TrackSplit)
 def _track_split(store: Store, planned: PlannedEdit[requests.TrackSplit]) -> Sequence[CellEdit]:
     request = planned.request
+    _require_shown(planned)
     track, new_track = planned.track_name(request.track), planned.track_name(request.new_track)
     return split_track(store, planned.drive, track, _key(store, request.frame)[1], new_track, request.base)
+
+
+def _require_shown(planned: PlannedEdit[Any]) -> None:
+    """Refuse an edit of a track whose box in the frame is no longer as it was shown."""
+    request = planned.request
+    planned.annotation.require_shown(request.frame, request.box, request.box_base)
 
 
 @plans(requests.TrackInterpolate)
 def _track_interpolate(store: Store, planned: PlannedEdit[requests.TrackInterpolate]) -> Sequence[CellEdit]:
     request = planned.request
+    planned.annotation.require_shown(request.frame, request.box, request.base)
     first, last = (_row_in_drive(store, frame, planned.drive) for frame in (request.first, request.last))
     return interpolate_track(store, planned.drive, planned.track_name(request.track), first, last, request.id)
 
@@ -214,12 +233,22 @@ def _track_interpolate(store: Store, planned: PlannedEdit[requests.TrackInterpol
 @handles(requests.TrackPropagate)
 async def propagate(session: Session, window: ClientWindow, request: requests.TrackPropagate) -> None:
     """Carry a track on: that fits in many frames, so it holds up nobody's edits."""
-    drive = _drive(session, window, request)
+    drive = _drive(session, request)
+    if request.id in session.under_way:
+        return  # it came before, and is answered once it is made
+    session.under_way.add(request.id)
     session.aside(window, request.id, _propagate(session, window, request, drive))
 
 
 async def _propagate(session: Session, window: ClientWindow, request: requests.TrackPropagate, drive: str) -> None:
-    result = await session.in_thread(partial(_propagated, session.annotation, _author(window), request, drive))
+    annotation = session.annotation
+    try:
+        result = await session.in_thread(partial(_propagated, annotation, _author(window), request, drive))
+    except ConflictError as error:
+        window.send(await session.in_thread(partial(annotation.conflict, request.id, error)))
+        return
+    finally:
+        session.under_way.discard(request.id)
     await _acknowledge(session, window, request.id, result)
 
 
@@ -227,10 +256,21 @@ def _propagated(
     annotation: AnnotationService, author: Author, request: requests.TrackPropagate, drive: str
 ) -> EditResult:
     store, track = annotation.store, annotation.numbers.name(request.track)
+    if store.journal.seq_of(request.id) is not None:  # it came before
+        return store.edit(author, request.id, request.op, no_change)
+    annotation.require_shown(request.first, request.box, request.base)
     first, last = (_row_in_drive(store, frame, drive) for frame in (request.first, request.last))
     refit = annotation.annotator.refit_near if request.fit else None
-    course = propagate_track(store, drive, track, first, last, refit)
-    plan = partial(fill_track, drive=drive, track=track, boxes=course.boxes, source="propagated", prefix=request.id)
+    course = propagate_track(store, drive, track, first, last, refit, always=abs(last - first) == 1)
+    plan = partial(
+        fill_track,
+        drive=drive,
+        track=track,
+        boxes=course.boxes,
+        source="propagated",
+        prefix=request.id,
+        predicted=course.predicted,
+    )
     return store.edit(author, request.id, request.op, plan, data={"message": course.message})
 
 
@@ -270,17 +310,33 @@ async def _commit(session: Session, window: ClientWindow, id: str, work: Callabl
 
 async def _acknowledge(session: Session, window: ClientWindow, id: str, result: EditResult) -> None:
     """Once an edit is on the disk: acknowledge it, tell the others, and check the frames that are shown."""
+    if (window, id) in session.acknowledging:
+        return  # it came before, and is answered by what goes on already
+    session.acknowledging.add((window, id))
+    try:
+        await _answer(session, window, id, result)
+    finally:
+        session.acknowledging.discard((window, id))
+
+
+async def _answer(session: Session, window: ClientWindow, id: str, result: EditResult) -> None:
     await asyncio.wrap_future(result.saved)
     saved_ns = str(time.time_ns())  # text: JavaScript's numbers are exact to 2^53 only
     annotation, record = session.annotation, result.record
-    placed, removed, tracks = await session.in_thread(partial(annotation.changed, record))
+    placed, removed, tracks = await session.in_thread(partial(annotation.changed, record, shown_frames(session)))
     own_row = next((placement.row for placement in placed), None) if len(record.changes) == 1 else None
     can_undo, can_redo = annotation.undoable(window.annotator)
-    window.send(
-        Ack(id=id, seq=record.seq, version=record.seq, saved_ns=saved_ns, row=own_row, undo=can_undo, redo=can_redo)
+    unwritten = annotation.store.unwritten
+    ack = Ack(
+        id=id,
+        seq=record.seq,
+        version=record.seq,
+        saved_ns=saved_ns,
+        row=own_row,
+        undo=can_undo,
+        redo=can_redo,
+        unwritten=unwritten,
     )
-    if result.repeated:
-        return
     changed = Changed(
         seq=record.seq,
         id=id,
@@ -289,78 +345,75 @@ async def _acknowledge(session: Session, window: ClientWindow, id: str, result: 
         rows=tuple(placed),
         removed=tuple(removed),
         tracks=tuple(tracks),
+        drive=_drive_of(annotation, record),
         sentence=str((record.data or {}).get("message", "")),
+        unwritten=unwritten,
     )
-    _tell_windows(session, window, changed, is_step=record.op in (UNDO, REDO), alone=len(record.changes) == 1)
+    others = [] if result.repeated else [other for other in session.windows.values() if other is not window]
+    _tell_windows(session, window, changed, others, op=record.op)
+    window.send(ack)
+    if not result.repeated:
+        await check_edited(session, record, {row.frame for rows in (changed.rows, changed.removed) for row in rows})
 
 
-def _tell_windows(session: Session, window: ClientWindow, changed: Changed, *, is_step: bool, alone: bool) -> None:
-    """Tell the other windows of an edit, and its own of what the tool did beyond the box that it sent.
+def _drive_of(annotation: AnnotationService, record: Record) -> str:
+    """The drive whose boxes or tracks an edit changed: there is one, as tracks do not leave theirs."""
+    for change in record.changes:
+        if change.cell[0] == "track":
+            return change.cell[1]
+        if change.cell[0] == "box":
+            return annotation.store.drives.locate((change.cell[1], change.cell[2])).drive
+    return ""
+
+
+def _tell_windows(
+    session: Session, window: ClientWindow, changed: Changed, others: Sequence[ClientWindow], *, op: str
+) -> None:
+    """Tell other windows of an edit, and its own, before the ack, of all that the ack of a box does not hold.
 
     Args:
-        session: Its windows are told.
+        session: Its annotation was changed.
         window: The window that edited.
         changed: The edit.
-        is_step: Whether it is an undo or redo: the nearest frame that it changes is to be shown.
-        alone: Whether one cell alone changed, which the window has of the acknowledgement already.
+        others: The other windows.
+        op: What was done; after an undo or redo the nearest frame that it changes is to be shown.
     """
-    annotation = session.annotation
+    annotation, is_step = session.annotation, op in (UNDO, REDO)
     frames = [*(row.frame for row in changed.rows), *(row.frame for row in changed.removed)]
     nearest = min(frames, key=lambda frame: abs(frame - (window.frame or 0)), default=None) if is_step else None
-    for other in list(session.windows.values()):
+    alone = op.startswith("box.") and len(frames) == 1 and not changed.tracks and not changed.sentence
+    empty = not (is_step or frames or changed.tracks or changed.sentence)
+    for other in (*others, *(() if alone or empty else (window,))):
         can_undo, can_redo = annotation.undoable(other.annotator)
-        if other is not window:
-            other.send(replace(changed, undo=can_undo, redo=can_redo))
-        elif is_step or not alone or changed.tracks or changed.sentence:
-            other.send(replace(changed, undo=can_undo, redo=can_redo, show=nearest))
-    for frame in _shown_frames(session) & set(frames):
-        check_soon(session, frame)
+        show = nearest if other is window else None
+        other.send(replace(changed, undo=can_undo, redo=can_redo, show=show))
 
 
-def _shown_frames(session: Session) -> set[int]:
-    return {window.frame for window in session.windows.values() if window.frame is not None}
-
-
-def check_soon(session: Session, frame: int) -> None:
-    """Check a frame once edits pause for a moment, and tell the windows that show it."""
-    waiting = frame in session.edited_at
-    session.edited_at[frame] = time.monotonic()
-    if not waiting:
-        session.aside(None, None, _check(session, frame))
-
-
-async def _check(session: Session, frame: int) -> None:
-    began = time.monotonic()
-    while (paused := time.monotonic() - session.edited_at[frame]) < _PAUSE_S and time.monotonic() - began < _LONGEST_S:
-        await asyncio.sleep(_PAUSE_S - paused)
-    del session.edited_at[frame]
-    reply = await session.in_thread(partial(checks_of, session, frame))
-    for window in session.windows.values():
-        if window.frame == frame:
-            window.send(reply)
-
-
-def checks_of(session: Session, frame: int) -> Checks:
-    """The findings of a frame, disagreements with the first set of detections among them."""
-    key = session.frames.data.keys[frame]
-    sets = (shown for shown in list(session.frames.sets.values()) if shown.about.kind == "detections")
-    detections = next((shown.boxes[key] for shown in sets if key in shown.boxes), None)
-    return Checks(frame=frame, rows=session.annotation.checks(frame, detections))
-
-
-@handles(requests.CheckList)
-async def check_list(session: Session, window: ClientWindow, request: requests.CheckList) -> None:
-    """Findings of a frame, or of all."""
+@handles(requests.ProposalsCount)
+async def proposals_count(session: Session, window: ClientWindow, request: requests.ProposalsCount) -> None:
+    """Say how many proposals a person would accept."""
     annotation = session.annotation
-    if request.frame is None:
-        session.aside(window, None, _check_all(session, window, annotation))
-        return
-    session.opened.check(request.frame)
-    window.send(await session.in_thread(partial(checks_of, session, request.frame)))
+    drive = _drive(session, request)
+    window.send(await session.in_thread(partial(_counted, annotation, request, drive)))
 
 
-async def _check_all(session: Session, window: ClientWindow, annotation: AnnotationService) -> None:
-    window.send(Checks(frame=None, rows=await session.in_thread(annotation.all_checks)))
+def _counted(annotation: AnnotationService, request: requests.ProposalsCount, drive: str) -> Proposals:
+    store = annotation.store
+    keys = store.drives.keys(drive)
+    with store.lock:
+        meant = ProposalRange(drive=drive, first=0, last=len(keys) - 1, score=request.score)
+        frames = [store.index_of[row.key] for row in proposals_of(store, meant)]
+        return Proposals(
+            id=request.id,
+            frame=request.frame,
+            score=request.score,
+            seq=annotation.seq,
+            here=frames.count(request.frame),
+            count=len(frames),
+            frames=len(set(frames)),
+            first=store.index_of[keys[0]],
+            last=store.index_of[keys[-1]],
+        )
 
 
 @handles(requests.CheckIgnore)
@@ -369,7 +422,7 @@ async def check_ignore(session: Session, window: ClientWindow, request: requests
     store = session.annotation.store
     work = partial(notes.ignore, store, _author(window), request.id, request.check, request.reason)
     await _commit(session, window, request.id, work)
-    for frame in _shown_frames(session):
+    for frame in shown_frames(session):
         check_soon(session, frame)
 
 
@@ -401,33 +454,9 @@ async def timing(session: Session, window: ClientWindow, request: requests.Timin
     annotation = session.annotation
     session.opened.check(request.frame)
     key, id = annotation.store.keys[request.frame], f"time-{window.id}-{time.time_ns()}"[:64]
-    note = partial(
-        notes.record_time, annotation.store, _author(window), id, key, request.box, request.seconds, request.edits
-    )
+    name = annotation.box_name(request.frame, request.box)
+    note = partial(notes.record_time, annotation.store, _author(window), id, key, name, request.seconds, request.edits)
     await annotation.editor.do(note)
-
-
-@handles(requests.Save)
-async def save(session: Session, window: ClientWindow, request: requests.Save) -> None:
-    """Write the label files."""
-    session.aside(window, request.id, _save(session, window, session.annotation, request))
-
-
-async def _save(session: Session, window: ClientWindow, annotation: AnnotationService, request: requests.Save) -> None:
-    summary = await session.in_thread(
-        partial(annotation.annotator.save, _author(window), request.id, folder=request.folder, format=request.format)
-    )
-    annotation.saved_seq = annotation.seq
-    window.send(
-        Saved(
-            id=request.id,
-            seq=summary.seq,
-            files=summary.files,
-            saved_ns=str(time.time_ns()),
-            folder=summary.folder,
-            sentence=f"{summary.files} label file{'' if summary.files == 1 else 's'} written",
-        )
-    )
 
 
 async def propose(session: Session, job: InferJob, index: int, boxes: Boxes) -> None:
@@ -437,27 +466,3 @@ async def propose(session: Session, job: InferJob, index: int, boxes: Boxes) -> 
     result = await annotation.editor.do(partial(annotation.annotator.propose, author, id, index, boxes, group))
     if result is not None:
         await _acknowledge(session, ClientWindow(id=job.window, annotator=job.by), result.record.id, result)
-
-
-async def autosave(session: Session) -> None:
-    """Write label files every half minute, where saves go into them: what is in the journal is safe without."""
-    while True:
-        await asyncio.sleep(AUTOSAVE_S)
-        await save_now(session)
-
-
-async def save_now(session: Session) -> None:
-    """Write label files that have unsaved edits, where saves go into them."""
-    annotation = session.annotating
-    if annotation is None or not annotation.in_place or annotation.saved_seq == annotation.seq:
-        return
-    id, author = f"autosave-{time.time_ns()}", Author(session.annotator, "")
-    try:
-        summary = await session.in_thread(partial(annotation.annotator.save, author, id))
-    except FarfieldError as error:
-        sentence = f"the label files could not be saved: {plain_error(error, session.data)}"
-        session.broadcast(Failure(sentence=sentence, mend=_EDITS_SAFE))
-        return
-    annotation.saved_seq = annotation.seq
-    saved_ns = str(time.time_ns())
-    session.broadcast(Saved(id=id, seq=summary.seq, files=summary.files, saved_ns=saved_ns, folder=summary.folder))

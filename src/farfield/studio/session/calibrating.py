@@ -3,10 +3,10 @@
 import asyncio
 import itertools
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from farfield.errors import FarfieldError
 from farfield.studio.calibrating.service import CalibrationError, CalibrationService, CancelledError
@@ -38,6 +38,25 @@ def _ready(session: Session) -> CalibrationService:
     return service
 
 
+CalibHandler = Callable[[Session, ClientWindow, Any], Awaitable[None]]
+
+
+@dataclass(frozen=True)
+class _once:  # noqa: N801 - a decorator
+    """A handler that does nothing for a message that was taken before: the calibration as it stands answers it."""
+
+    handler: CalibHandler
+
+    async def __call__(self, session: Session, window: ClientWindow, request: Any) -> None:
+        """Handle it unless it was."""
+        service, message = _service(session), repr(request)
+        if service.was_taken(message):
+            window.send(service.state(request.id))
+            return
+        await self.handler(session, window, request)
+        service.note_taken(message)
+
+
 @handles(requests.CalibOpen)
 async def opened(session: Session, window: ClientWindow, request: requests.CalibOpen) -> None:
     """Send the calibration; the first time, read the frames as a job."""
@@ -65,14 +84,17 @@ async def residuals(session: Session, window: ClientWindow, request: requests.Ca
 
 async def _residuals(session: Session, window: ClientWindow, request: requests.CalibMatch, values: object) -> None:
     service, started = _ready(session), time.monotonic()
-    snapshot = replace(service.now, values=values)  # type: ignore[arg-type]
+    solved = service.now.solved if values == service.now.values else None
+    snapshot = replace(service.now, values=values, solved=solved)  # type: ignore[arg-type]
     work = partial(service.task.residuals, snapshot, request.frame, full=request.full)
     residuals = await session.in_thread(work)
+    residuals = replace(residuals, notes=(*residuals.notes, *service.remarks))
     spent = round(1e3 * (time.monotonic() - started), 1)
     window.send(CalibResidual(id=request.id, frame=request.frame, residuals=residuals, milliseconds=spent))
 
 
 @handles(requests.CalibSet)
+@_once
 async def set_values(session: Session, window: ClientWindow, request: requests.CalibSet) -> None:
     """Take values."""
     del window
@@ -82,6 +104,7 @@ async def set_values(session: Session, window: ClientWindow, request: requests.C
 
 
 @handles(requests.CalibPick)
+@_once
 async def pick(session: Session, window: ClientWindow, request: requests.CalibPick) -> None:
     """Add a pair."""
     del window
@@ -91,6 +114,7 @@ async def pick(session: Session, window: ClientWindow, request: requests.CalibPi
 
 
 @handles(requests.CalibUnpick)
+@_once
 async def unpick(session: Session, window: ClientWindow, request: requests.CalibUnpick) -> None:
     """Take a pair away, or leave it out or in."""
     del window
@@ -100,6 +124,7 @@ async def unpick(session: Session, window: ClientWindow, request: requests.Calib
 
 
 @handles(requests.CalibUndo)
+@_once
 async def undo(session: Session, window: ClientWindow, request: requests.CalibUndo) -> None:
     """Undo or redo."""
     del window
@@ -109,6 +134,7 @@ async def undo(session: Session, window: ClientWindow, request: requests.CalibUn
 
 
 @handles(requests.CalibSolve)
+@_once
 async def solve(session: Session, window: ClientWindow, request: requests.CalibSolve) -> None:
     """Solve as a job."""
     service = _ready(session)
@@ -132,6 +158,7 @@ async def cancel(session: Session, window: ClientWindow, request: requests.Calib
 
 
 @handles(requests.CalibSave)
+@_once
 async def save(session: Session, window: ClientWindow, request: requests.CalibSave) -> None:
     """Write the calibration."""
     service = _ready(session)
@@ -150,6 +177,7 @@ async def _save(session: Session, service: CalibrationService, request: requests
 
 
 @handles(requests.CalibRestore)
+@_once
 async def restore(session: Session, window: ClientWindow, request: requests.CalibRestore) -> None:
     """Put back what the last save replaced."""
     del window

@@ -3,9 +3,11 @@
 import itertools
 from collections import deque
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from farfield.errors import ConfigError
+from farfield.datasets.base import Dataset
+from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Boxes
 from farfield.studio.inferring.jobs import InferJob, Jobs
 from farfield.studio.inferring.worker import Worker
@@ -14,6 +16,7 @@ from farfield.studio.messages.replies import Job, Predicted
 from farfield.studio.messages.rows import DetectorRow, PredictionSet
 from farfield.studio.options import StudioSettings
 from farfield.studio.session.annotating import propose
+from farfield.studio.session.checking import check_detected
 from farfield.studio.session.session import ClientWindow, Session, handles
 from farfield.studio.showing.opened import plain_error
 from farfield.studio.showing.predictions import Predictions, colour
@@ -21,18 +24,54 @@ from farfield.studio.showing.predictions import Predictions, colour
 _NUMBERS = itertools.count(1)
 
 
-def offered(settings: StudioSettings) -> tuple[DetectorRow, ...]:
-    """The detectors that windows may run: those named at the start, and the ones that ship. None without torch."""
+def offered(settings: StudioSettings, data: Dataset) -> tuple[DetectorRow, ...]:
+    """The detectors that windows may run, the default first. None without torch.
+
+    Those named at the start come first, then the ones that ship: on frames with a radar's tensor first those that read
+    the radar (RTNH), on other frames those that read a LiDAR; of either those that learnt K-Radar's sensors first on
+    K-Radar's own frames.
+
+    Args:
+        settings: What was named at the start.
+        data: The frames; the first one is asked for a tensor.
+    """
     from importlib.util import find_spec
 
     if find_spec("torch") is None:
         return ()
-    from farfield.detectors.catalogue import catalogue
+    shipped = shipped_detectors(data.name, tensors=has_tensors(data))
+    names = dict.fromkeys((*settings.detectors, *shipped))
+    return tuple(
+        DetectorRow(
+            name=name, title=Path(name).name if name in settings.detectors else name, cloud=shipped.get(name, "")
+        )
+        for name in names
+    )
 
-    named = [DetectorRow(name=name, title=Path(name).name) for name in settings.detectors]
-    names = {row.name for row in named}
-    shipped = (name for entry in catalogue() for name in (entry.weights, *entry.further))
-    return (*named, *(DetectorRow(name=name, title=name) for name in shipped if name and name not in names))
+
+def shipped_detectors(format_name: str, *, tensors: bool) -> dict[str, str]:
+    """The detectors that ship, the one that suits the data best first, and what each reads: LiDAR or radar.
+
+    Args:
+        format_name: Format of the data.
+        tensors: Whether frames have a radar's tensor.
+    """
+    from farfield.detectors.catalogue import by_weather, catalogue
+
+    shipped = [name for entry in catalogue() for name in (entry.weights, *entry.further) if name]
+    of_kradar = {scores.weights: scores.cloud for scores in by_weather()}
+    reads = {name: "radar" if of_kradar.get(name) == "radar" else "LiDAR" for name in shipped}
+    own = format_name == "kradar"
+    order = sorted(shipped, key=lambda name: ((reads[name] == "radar") != tensors, (name in of_kradar) != own))
+    return {name: reads[name] for name in order}
+
+
+def has_tensors(data: Dataset) -> bool:
+    """Whether the first frame has a radar's tensor, cube or sparse points of one; no when it cannot be read."""
+    try:
+        return len(data) > 0 and bool(data[0].radar)
+    except (FarfieldError, OSError):
+        return False  # reported when the frame is opened
 
 
 def _jobs(session: Session) -> Jobs:
@@ -90,7 +129,8 @@ async def infer(session: Session, window: ClientWindow, request: requests.InferS
     Raises:
         ConfigError: If the detector is not on offer, or there are no such frames.
     """
-    if request.detector not in {row.name for row in offered(session.settings)}:
+    rows = await session.in_thread(partial(offered, session.settings, session.frames.data))  # it reads a frame
+    if request.detector not in {row.name for row in rows}:
         raise ConfigError("infer: expected one of the detectors on offer; name others with --detector at the start")
     session.opened.check(request.first)
     session.opened.check(request.last)
@@ -98,6 +138,11 @@ async def infer(session: Session, window: ClientWindow, request: requests.InferS
         raise ConfigError(f"infer: expected the last frame after the first, got {request.first} to {request.last}")
     if request.propose and session.annotating is None:
         raise ConfigError("infer: boxes can be proposed in `farfield annotate` only")
+    jobs = [] if session.jobs is None else session.jobs.jobs.values()
+    repeated = next((job for job in jobs if job.id == request.id), None)
+    if repeated is not None:  # it came before
+        window.send(_job_reply(session, repeated))
+        return
     frames = list(range(request.first, request.last + 1))
     _start(session, window, request.id, request.detector, frames, request.threshold, request.propose)
 
@@ -149,6 +194,7 @@ class _DetectionSink:
             boxes = boxes[boxes.score >= min(session.settings.threshold, job.threshold or 1.0)]
         predictions = predictions_of(session, job.detector)
         predictions.boxes[session.frames.data.keys[index]] = boxes
+        check_detected(session, session.frames.data.keys[index])
         classes = sorted({*predictions.about.classes, *map(str, boxes.label)})
         predictions.about = replace(predictions.about, frames=len(predictions.boxes), classes=tuple(classes))
         if job.propose and session.annotating is not None:

@@ -1,8 +1,9 @@
 """Exports on demand: films of pictures that the page sent, one HTML file of some frames, labels in a format."""
 
-import itertools
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from farfield.annotation.saving import FORMATS, pack
@@ -20,8 +21,6 @@ from farfield.studio.session.session import ClientWindow, Session, handles
 from farfield.studio.session.viewing import welcome
 from farfield.studio.showing.opened import STATIC, plain_error
 
-_NUMBERS = itertools.count(1)
-
 
 @handles(requests.Export)
 async def export(session: Session, window: ClientWindow, request: requests.Export) -> None:
@@ -34,19 +33,23 @@ Work = Callable[[Session, ClientWindow, requests.Export], tuple[str, ExportedFil
 
 
 async def _export(session: Session, window: ClientWindow, request: requests.Export, work: Work) -> None:
-    job = Job(id=request.id, job=f"make-{next(_NUMBERS)}", kind="export", state="running", total=1)
-    window.send(job)
+    window.send(Job(id=request.id, job=f"make-{request.id}", kind="export", state="running", total=1))
+    window.send(await session.once(request, partial(_made, session, window, request, work)))
+
+
+async def _made(session: Session, window: ClientWindow, request: requests.Export, work: Work) -> Job:
+    """The job of a file that is made, or could not be."""
+    job = Job(id=request.id, job=f"make-{request.id}", kind="export", state="failed", total=1)
     try:
         name, file = await session.in_thread(lambda: work(session, window, request))
     except FarfieldError as error:
-        window.send(replace(job, state="failed", message=plain_error(error, session.data)))
-        return
-    except Exception:
-        window.send(replace(job, state="failed", message="the studio met an error of its own"))
-        raise
+        return replace(job, message=plain_error(error, session.data))
+    except Exception:  # noqa: BLE001
+        traceback.print_exc()
+        return replace(job, message="the studio met an error of its own; its terminal shows it")
     size = file.path.stat().st_size / 1e6
     message = f"{file.name}: {size:.1f} MB"
-    window.send(replace(job, state="done", done=1, url=f"export/{name}", message=message))
+    return replace(job, state="done", done=1, url=f"export/{name}", message=message)
 
 
 def _film(session: Session, window: ClientWindow, request: requests.Export) -> tuple[str, ExportedFile]:
@@ -59,7 +62,7 @@ def _film(session: Session, window: ClientWindow, request: requests.Export) -> t
 def _page(session: Session, window: ClientWindow, request: requests.Export) -> tuple[str, ExportedFile]:
     text = page_of(session, window, request.frames)
     name, file = session.exports.new(request.name, ".html")
-    file.path.write_text(text, "utf-8")
+    write_text(file.path, text)
     return name, file
 
 
@@ -74,8 +77,8 @@ def page_of(session: Session, window: ClientWindow, frames: tuple[int, ...]) -> 
     states = [session.frames.state(index, window.threshold) for index in dict.fromkeys(frames)]
     payloads = {layer.url: _body(session.frames, state, layer) for state in states for layer in state.layers}
     first = states[0].frame.index if states else 0
-    hello = replace(welcome(session, window), mode="view", detectors=(), first=first, saves_to="", bookmarks=())
-    return standalone(STATIC, hello, states, payloads)
+    hello = replace(welcome(session, window), mode="view", detectors=(), first=first, written=None, bookmarks=())
+    return standalone(STATIC, replace(hello, store=""), states, payloads)
 
 
 def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], path: Path) -> None:
@@ -94,6 +97,7 @@ def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], p
     try:
         session.open(data)
         indices = tuple(first_of(frame, data) for frame in frames or ("",))
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page_of(session, ClientWindow(id="file", annotator="", threshold=settings.threshold), indices))
     finally:
         session.threads.end()

@@ -12,22 +12,26 @@ from jaxtyping import Float
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.json_text import plain_json
 from farfield.frame import Boxes, Drive, Key
 from farfield.frame.provenance import is_simulated
 from farfield.geometry.poses import invert, transform_points
 from farfield.metrics import PROTOCOLS
 from farfield.studio.messages.replies import FrameState
-from farfield.studio.messages.rows import Bookmark, BoxRow, PredictedFrame, Trail
+from farfield.studio.messages.rows import Bookmark, BoxRow, FrameInfo, PredictedFrame, Trail
 from farfield.studio.options import StudioSettings
 from farfield.studio.showing.opened import OpenedDataset
 from farfield.studio.showing.predictions import Predictions, read_set
 from farfield.studio.showing.rows import annotated_rows, frame_info
+from farfield.studio.threads import Cache
 
 Centres = Callable[[int], Sequence[tuple[int, float, float, float]]]
 """Track number and centre of each box of a frame that has one."""
 _FACTS = ("conditions_from", "boxes", "pair_dt_ms", "camera_dt_ms", "intensity_scale")
 """Of a frame's metadata: cheap to read, and without a path."""
 Rows = Callable[[int], tuple[BoxRow, ...]]
+_KEPT_FRAMES = 1000
+"""Frames whose centres stay in memory: the trails of a frame need those of twenty others."""
 
 
 class FrameCache:
@@ -50,6 +54,7 @@ class FrameCache:
         self.data, self.opened, self.rows, self.centres = data, opened, rows, centres
         self.protocol = settings.protocol or data.protocol
         _ = PROTOCOLS[self.protocol]
+        self._truth: Cache[Sequence[tuple[int, float, float, float]]] = Cache(_KEPT_FRAMES, lambda _: 1)
         self._drive_of = {index: drive for drive in opened.drives for index in drive.indices.tolist()}
         self.bookmarks = BookmarkStore(data.root, data.keys, settings.notes)
         self.simulated = is_simulated(data.root)
@@ -64,7 +69,7 @@ class FrameCache:
         if self.rows is not None:
             return self.rows(index)
         frame = self.opened.frame(index)
-        return () if frame.annotation is None else annotated_rows(frame.annotation, frame)
+        return () if frame.annotation is None else annotated_rows(frame.annotation, index, frame)
 
     def state(self, index: int, threshold: float = 0.0, sweeps: int = 1) -> FrameState:
         """All that a frame shows."""
@@ -80,6 +85,12 @@ class FrameCache:
             trails=self.trails(index, boxes),
             notes=notes,
         )
+
+    def unreadable(self, index: int, reason: str) -> FrameState:
+        """What stands in the place of a frame that cannot be read: nothing of it, and why."""
+        sequence, frame_id = self.data.keys[index]
+        frame = FrameInfo(index=index, sequence=sequence, frame_id=frame_id, time_ns=None, annotated=False)
+        return FrameState(frame=frame, layers=(), boxes=(), unreadable=reason)
 
     def predicted(self, index: int, truth: Sequence[BoxRow], threshold: float) -> tuple[PredictedFrame, ...]:
         """What each set predicts in a frame, matched with the truth."""
@@ -112,6 +123,9 @@ class FrameCache:
     def _annotated(self, index: int) -> Sequence[tuple[int, float, float, float]]:
         if self.centres is not None:
             return self.centres(index)
+        return self._truth.get(index, lambda: self._read_centres(index))
+
+    def _read_centres(self, index: int) -> Sequence[tuple[int, float, float, float]]:
         annotation = self.data.annotation(index)
         return [] if annotation is None else _centres(annotation.boxes)
 
@@ -133,6 +147,10 @@ def _centres(boxes: Boxes | None) -> list[tuple[int, float, float, float]]:
     return [(track, x, y, z) for track, (x, y, z) in rows]
 
 
+_NUMBER_DIGITS = 10
+"""No data set has so many frames; int() refuses thousands of digits."""
+
+
 def first_of(text: str, data: Dataset) -> int:
     """The number of a frame from its number or ``sequence/frame``; 0 for nothing.
 
@@ -144,7 +162,7 @@ def first_of(text: str, data: Dataset) -> int:
     sequence, slash, frame = text.rpartition("/")
     if slash and (sequence, frame) in data.keys:
         return data.keys.index((sequence, frame))
-    if not slash and text.isdecimal() and int(text) < len(data):
+    if not slash and text.isdecimal() and len(text) < _NUMBER_DIGITS and int(text) < len(data):
         return int(text)
     if text in data.frame_ids:
         return data.frame_ids.index(text)
@@ -203,7 +221,7 @@ class BookmarkStore:
     """
 
     def __init__(self, root: Path, keys: tuple[Key, ...], folder: Path | None = None) -> None:
-        name = hashlib.blake2b(str(root.resolve()).encode(), digest_size=8).hexdigest()
+        name = hashlib.blake2b(os.fsencode(root.resolve()), digest_size=8).hexdigest()
         self.path = (folder or data_folder() / "bookmarks") / f"{name}.json"
         self._keys = keys
         self._index = {key: index for index, key in enumerate(keys)}
@@ -213,7 +231,7 @@ class BookmarkStore:
         if not self.path.is_file():
             return {}
         try:
-            rows = json.loads(read_bytes(self.path, max_bytes=_MAX_BYTES))["bookmarks"]
+            rows = plain_json(read_bytes(self.path, max_bytes=_MAX_BYTES))["bookmarks"]
             return {(str(r["sequence"]), str(r["frame"])): (str(r["note"]), str(r["by"])) for r in rows}
         except (ValueError, KeyError, TypeError) as error:
             expected = "bookmarks"

@@ -7,9 +7,11 @@ A function is registered for a class of messages in one step::
 """
 
 import asyncio
+import os
 import sys
+import time
 import traceback
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,8 +27,11 @@ from farfield.studio.threads import ThreadGroup
 if TYPE_CHECKING:
     from farfield.studio.calibrating.service import CalibrationService
     from farfield.studio.inferring.jobs import Jobs
+    from farfield.studio.session.checking import DriveChecker
     from farfield.studio.showing.annotations import AnnotationService
 
+_MOST_ANSWERS = 200
+"""Answers to long requests that are kept for messages that come again."""
 T = TypeVar("T")
 H = TypeVar("H", bound=Callable[..., Awaitable[None]])
 
@@ -40,6 +45,7 @@ class ClientWindow:
         annotator: Who sits before it.
         room: How many replies may wait; a window that does not read them is sent away.
         matching: Changes with every request for matches, so that an older one is given up.
+        checking: The drive whose findings it follows; None: of none.
     """
 
     id: str
@@ -50,6 +56,7 @@ class ClientWindow:
     threshold: float = 0.0
     sweeps: int = 1
     matching: object = None
+    checking: str | None = None
     replies: "asyncio.Queue[Reply | str]" = field(default_factory=asyncio.Queue)
 
     def send(self, reply: "Reply | str") -> None:
@@ -83,14 +90,20 @@ class Session:
         self.annotator = settings.annotator
         self.windows: dict[str, ClientWindow] = {}
         self.threads = ThreadGroup(3, "session")
+        self.checks = ThreadGroup(1, "check")
         self.exports = Exports()
         self.data: Dataset | None = None
         self.annotating: AnnotationService | None = None
         self.jobs: Jobs | None = None
         self.calibrating: CalibrationService | None = None
         self.edited_at: dict[int, float] = {}  # frames to be checked, and when each was edited last
+        self.checkers: dict[str, DriveChecker] = {}  # of the drives whose findings windows follow
+        self.busy_at = 0.0  # when a window last sent something
+        self.under_way: set[str] = set()  # ids of the long edits that go on
+        self.acknowledging: set[tuple[ClientWindow, str]] = set()  # who is to hear of which edits
         self._ready = asyncio.Event()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._answers: dict[str, asyncio.Task[Any]] = {}
 
     @property
     def ready(self) -> bool:
@@ -161,8 +174,29 @@ class Session:
             if window is not None:
                 window.send(refused)
 
+    async def once(self, request: Any, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
+        """Do what a message requests, which may take long; the same message again awaits the same answer.
+
+        Args:
+            request: The message.
+            work: What is done, the first time.
+        """
+        key = repr(request)
+        task = self._answers.get(key)
+        if task is None:
+            task = self._answers[key] = asyncio.get_running_loop().create_task(work())
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+            for old in list(self._answers)[:-_MOST_ANSWERS]:
+                del self._answers[old]
+        return await asyncio.shield(task)
+
     def refusal(self, id: str | None, error: Exception) -> Refused:
         """An error as a reply: its message, never a traceback or a path of this machine."""
+        if isinstance(error, OSError) and error.strerror:
+            name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "the disk"
+            sentence = plain_error(f"{name}: {error.strerror}", self.data)
+            return Refused(id=id, code="disk", sentence=sentence, mend="Make room, or give the right to write there.")
         if not isinstance(error, FarfieldError):
             traceback.print_exception(error, file=sys.stderr)
             sentence = f"the studio met an error of its own ({type(error).__name__}); its terminal shows it"
@@ -173,6 +207,7 @@ class Session:
 
     async def handle(self, window: ClientWindow, request: Any) -> None:
         """Answer a message by the handler of its class."""
+        self.busy_at = time.monotonic()
         id = getattr(request, "id", None)
         try:
             handler = HANDLERS.get(type(request))
@@ -226,6 +261,7 @@ class Session:
         if self.annotating is not None:
             await self.in_thread(self.annotating.close)
         self.threads.end()
+        self.checks.end()
         self.exports.close()
 
 

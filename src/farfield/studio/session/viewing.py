@@ -1,20 +1,29 @@
 """What windows that look ask for: the welcome, frames, bookmarks, boxes that others drag, frames worth a look."""
 
+import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 from farfield import __version__
 from farfield.annotation.schema import shown_classes
 from farfield.metrics import PROTOCOLS
 from farfield.studio.messages import requests
-from farfield.studio.messages.replies import Bookmarks, Changed, Matches, Previewed, Welcome
+from farfield.studio.messages.replies import Bookmarks, Changed, FrameState, Matches, Previewed, Welcome
 from farfield.studio.messages.rows import BoxRow, MatchRow
-from farfield.studio.session.annotating import check_soon
+from farfield.studio.session.checking import check_soon
 from farfield.studio.session.detecting import detect_shown, offered
 from farfield.studio.session.session import ClientWindow, Session, handles
 from farfield.studio.showing.opened import MOST_NAMED
 from farfield.studio.showing.predictions import Predictions
 from farfield.studio.showing.rows import annotated_rows, class_specs, with_others
+
+
+def _store_name(session: Session) -> str:
+    """What no other annotation on this machine has, and no path can be read from."""
+    annotating = session.annotating
+    folder = session.frames.data.root if annotating is None else annotating.store.folder
+    return hashlib.sha256(str(folder.resolve()).encode("utf-8", "surrogateescape")).hexdigest()[:24]
 
 
 def welcome(session: Session, window: ClientWindow) -> Welcome:
@@ -29,13 +38,14 @@ def welcome(session: Session, window: ClientWindow) -> Welcome:
         farfield=__version__,
         mode=settings.mode,
         data=data.name,
+        store=_store_name(session),
         title=settings.title or data.root.name,
         frames=len(data),
         drives=frames.opened.drive_rows,
         labels=labels,
         classes=with_others(classes, sorted(predicted)) if annotating is None else classes,
         predictions=tuple(shown.about for shown in frames.sets.values()),
-        detectors=offered(settings),
+        detectors=offered(settings, data),
         protocols=tuple(PROTOCOLS),
         bookmarks=frames.bookmarks.rows(),
         tracks=() if annotating is None else annotating.tracks(frames.first),
@@ -46,7 +56,8 @@ def welcome(session: Session, window: ClientWindow) -> Welcome:
         extent=None if annotating is None else annotating.store.extent,
         first=frames.first,
         formats=() if annotating is None else annotating.formats,
-        saves_to="" if annotating is None else annotating.saves_to,
+        written=None if annotating is None else annotating.labels(),
+        drive="" if annotating is None or not len(data) else annotating.drive_of(frames.first),
         undo=can_undo,
         redo=can_redo,
     )
@@ -55,22 +66,36 @@ def welcome(session: Session, window: ClientWindow) -> Welcome:
 @handles(requests.FrameOpen)
 async def open_frame(session: Session, window: ClientWindow, request: requests.FrameOpen) -> None:
     """Send a frame's state; requests run concurrently, so an earlier one is answered even after a later one."""
+    session.opened.check(request.frame)
     if request.purpose != "ahead":
         window.frame, window.threshold, window.sweeps = request.frame, request.threshold, request.sweeps
     session.aside(window, None, _show(session, window, request))
 
 
 async def _show(session: Session, window: ClientWindow, request: requests.FrameOpen) -> None:
-    session.opened.check(request.frame)
     if request.purpose != "here":
-        state = await session.in_thread(lambda: session.frames.state(request.frame, request.threshold, request.sweeps))
+        state = await session.in_thread(partial(_state, session, request))
         window.send(state)
+        if state.unreadable:
+            if request.purpose != "ahead" and session.annotating is not None:
+                check_soon(session, request.frame)  # a frame that cannot be read is a finding of its drive
+            return
     if request.purpose == "ahead":
         return
     detect_shown(session, window, request.frame)
     if session.annotating is not None:
         await _show_tracks(session, window, request.frame)
         check_soon(session, request.frame)
+
+
+def _state(session: Session, request: requests.FrameOpen) -> FrameState:
+    """A frame as it stands; one that cannot be read says so in place of its picture."""
+    seq = 0 if session.annotating is None else session.annotating.seq  # before the boxes: they hold at least this
+    try:
+        return replace(session.frames.state(request.frame, request.threshold, request.sweeps), seq=seq)
+    except Exception as error:  # noqa: BLE001
+        refused = session.refusal(None, error)
+        return replace(session.frames.unreadable(request.frame, f"{refused.sentence} {refused.mend}".strip()), seq=seq)
 
 
 async def _show_tracks(session: Session, window: ClientWindow, frame: int) -> None:
@@ -84,7 +109,20 @@ async def _show_tracks(session: Session, window: ClientWindow, frame: int) -> No
         return  # the welcome had them
     tracks = await session.in_thread(lambda: annotation.tracks(frame))
     can_undo, can_redo = annotation.undoable(window.annotator)
-    window.send(Changed(seq=annotation.seq, id="", by="", window="", tracks=tracks, undo=can_undo, redo=can_redo))
+    unwritten = annotation.store.unwritten
+    window.send(
+        Changed(
+            seq=annotation.seq,
+            id="",
+            by="",
+            window="",
+            tracks=tracks,
+            drive=drive,
+            undo=can_undo,
+            redo=can_redo,
+            unwritten=unwritten,
+        )
+    )
 
 
 @handles(requests.Preview)
@@ -102,7 +140,7 @@ async def bookmark(session: Session, window: ClientWindow, request: requests.Boo
     session.opened.check(request.frame)
     bookmarks = session.frames.bookmarks
     await session.in_thread(lambda: bookmarks.set(request.frame, request.note, window.annotator))
-    session.broadcast(Bookmarks(rows=bookmarks.rows()))
+    session.broadcast(Bookmarks(rows=bookmarks.rows(), answers=request.id))
 
 
 # Frames in which a set of predictions misses boxes, or has false ones
@@ -152,4 +190,4 @@ def _truth(session: Session, index: int) -> tuple[BoxRow, ...]:
     if session.annotating is not None:
         return session.annotating.outlines(index)
     annotation = session.frames.data.annotation(index)
-    return () if annotation is None else annotated_rows(annotation)
+    return () if annotation is None else annotated_rows(annotation, index)

@@ -1,28 +1,43 @@
 """The annotation that windows share, as the page takes it: boxes, tracks, findings, fits and changes as rows."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from farfield.annotation.annotator import Annotator, Gesture
 from farfield.annotation.checking import LabelIssue
 from farfield.annotation.drives import TrackNumbers
 from farfield.annotation.edits import TOOL_SOURCES
-from farfield.annotation.errors import ConflictError
-from farfield.annotation.saving import FORMATS
+from farfield.annotation.errors import ConflictError, RefusedError
+from farfield.annotation.saving import FORMATS, save_sibling, save_words
 from farfield.annotation.schema import ClassPreset
 from farfield.annotation.store import REDO, UNDO, Store, StoredBox
-from farfield.datasets.edits import CellEdit, Record, track_cell
-from farfield.frame import Boxes, Key
+from farfield.datasets.edits import CellEdit, Record, box_cell, track_cell
+from farfield.errors import ConfigError, FarfieldError
+from farfield.frame import Key
 from farfield.studio.messages import requests
-from farfield.studio.messages.replies import Candidate, Conflict, Fitted
+from farfield.studio.messages.replies import Candidate, Conflict, Fitted, LabelState
 from farfield.studio.messages.rows import BoxRow, CheckRow, ClassSpec, PlacedRow, RemovedRow, TrackRow
 from farfield.studio.options import StudioSettings
-from farfield.studio.showing.opened import OpenedDataset
+from farfield.studio.showing.opened import OpenedDataset, plain_error
 from farfield.studio.showing.radar import snapped
-from farfield.studio.showing.rows import class_specs
+from farfield.studio.showing.rows import box_id, class_specs
 from farfield.studio.threads import ThreadGroup
+
+
+class SaveChoice(NamedTuple):
+    """Where labels are written to.
+
+    Args:
+        folder: A name beside the usual folder; None for the usual one.
+        format: Another format than the labels' own; empty for their own.
+        at_exit: Whether they are also written when the studio ends.
+    """
+
+    folder: str | None = None
+    format: str = ""
+    at_exit: bool = False
 
 
 class AnnotationService:
@@ -48,7 +63,7 @@ class AnnotationService:
         self.store: Store = self.annotator.store
         self.numbers = TrackNumbers()
         self.editor = ThreadGroup(1, "edit")
-        self.saved_seq = self.store.state.seq
+        self.choice = SaveChoice(format=settings.to, at_exit=settings.save_at_exit)
 
     @property
     def seq(self) -> int:
@@ -59,7 +74,7 @@ class AnnotationService:
     def classes(self) -> tuple[ClassSpec, ...]:
         """The classes that can be set."""
         classes = self.store.schema.classes.items()
-        return class_specs([ClassPreset(name, spec.size_m, spec.types) for name, spec in classes])
+        return class_specs([ClassPreset(name, spec.size_m, spec.types, spec.source) for name, spec in classes])
 
     @property
     def formats(self) -> tuple[str, ...]:
@@ -71,11 +86,34 @@ class AnnotationService:
         """Whether saves go into the label files themselves."""
         return self.annotator.save_folder is None
 
-    @property
-    def saves_to(self) -> str:
-        """Where saves go, in words."""
-        folder = self.annotator.save_folder
-        return "the data set's label files" if folder is None else folder.name
+    def labels(self, answers: str = "") -> LabelState:
+        """What the label files hold of the journal, and what the next save does."""
+        store, choice, written = self.store, self.choice, self.store.written
+        target = save_sibling(store, choice.folder, self.annotator.save_folder)
+        return LabelState(
+            answers=answers,
+            unwritten=store.unwritten,
+            written_ns=None if written is None else str(written.time_ns),
+            folder="" if written is None else written.folder,
+            format="" if written is None else written.format,
+            left=0 if written is None else written.left,
+            next_folder=save_words(store, target, choice.format),
+            next_format=choice.format or store.files.format.name,
+            name=choice.folder,
+            itself=self.in_place,
+            at_exit=choice.at_exit,
+        )
+
+    def choose(self, choice: "SaveChoice") -> None:
+        """Choose where the next save goes, and in which format.
+
+        Raises:
+            ConfigError: If there is no such format, or the name is that of no folder.
+        """
+        if choice.format and choice.format not in self.formats:
+            raise ConfigError(f"format: expected one of {', '.join(self.formats)}, got {choice.format!r}")
+        save_sibling(self.store, choice.folder, self.annotator.save_folder)
+        self.choice = choice
 
     def undoable(self, by: str) -> tuple[bool, bool]:
         """Whether an annotator can undo and redo something."""
@@ -100,10 +138,10 @@ class AnnotationService:
 
     def box_row(self, index: int, row: StoredBox, *, count: bool = True) -> BoxRow:
         """One box, with the points in it if they are counted."""
-        label, points = row.label, self.annotator.points
+        label = row.label
         attributes: Any = dict(label.attributes)
         return BoxRow(
-            id=label.id,
+            id=box_id(index, label.id),
             track=self.numbers.number(label.track),
             class_name=label.label,
             box=label.box,
@@ -112,13 +150,52 @@ class AnnotationService:
             source=label.source or "lidar",  # type: ignore[arg-type]
             attributes=attributes,
             score=label.score,
-            points=points.count(index, "lidar", label.box) if count else None,
-            radar_points=points.count(index, "radar", label.box) if count else None,
+            points=self.annotator.points.count(index, "lidar", label.box) if count else None,
+            radar_points=self.annotator.points.count(index, "radar", label.box) if count else None,
             distance_m=math.hypot(label.box[0], label.box[1]),
             keyframe=label.keyframe,
             visibility=str(attributes["availability"]) if "availability" in attributes else None,
             proposal=row.proposal,
         )
+
+    def stored_row(self, index: int, row: StoredBox, *, count: bool = True) -> BoxRow:
+        """A box that an edit concerns: it stands without its points where the frame cannot be read now."""
+        try:
+            return self.box_row(index, row, count=count)
+        except (FarfieldError, OSError):
+            return self.box_row(index, row, count=False)
+
+    def box_name(self, index: int, id: str) -> str:
+        """The name within its frame of a box that the page knows by an identity.
+
+        Raises:
+            RefusedError: If it is the identity of a box of another frame, or none.
+        """
+        frame, _, name = id.partition(":")
+        if not name or not frame.isdecimal():
+            raise RefusedError("box", f"expected the identity of a box, such as {index}:0, got {id!r}")
+        if int(frame) != index:
+            raise RefusedError("frame", f"box {id} belongs to frame {frame}: it was not shown in frame {index}")
+        return name
+
+    def require_shown(self, index: int, id: str, base: int) -> None:
+        """Refuse an edit that starts from a box as it no longer is.
+
+        Args:
+            index: The frame that was shown.
+            id: The box.
+            base: Its version that was shown.
+
+        Raises:
+            RefusedError: If the frame has no such box.
+            ConflictError: If it was changed since.
+        """
+        key, name = self.store.keys[index], self.box_name(index, id)
+        row = self.store.row(key, name)
+        cell = box_cell(key, name)
+        if row is None and self.store.state.get(cell) is None:
+            raise RefusedError("box", f"frame {index} has no box {id!r}")
+        self.store.change(cell, None, base=base)
 
     def drive_of(self, index: int) -> str:
         """The drive of a frame."""
@@ -162,8 +239,17 @@ class AnnotationService:
 
     # Edits
 
-    def changed(self, record: Record) -> tuple[list[PlacedRow], list[RemovedRow], list[TrackRow]]:
-        """Boxes and tracks that an edit touched, as they stand now."""
+    def changed(
+        self, record: Record, shown: Container[int]
+    ) -> tuple[list[PlacedRow], list[RemovedRow], list[TrackRow]]:
+        """Boxes and tracks that an edit touched, as they stand now.
+
+        Args:
+            record: The edit.
+            shown: Numbers of the frames that windows show. Of an edit of several frames points are counted in these
+                only: an edit of a whole drive reads no cloud that nobody looks at.
+        """
+        alone = len({change.cell[1:3] for change in record.changes if change.cell[0] == "box"}) == 1
         placed: list[PlacedRow] = []
         removed: list[RemovedRow] = []
         tracks: dict[tuple[str, str], None] = {}
@@ -176,9 +262,9 @@ class AnnotationService:
             tracks |= dict.fromkeys(self._changed_tracks(key, change))
             row, index = self.store.row(key, name), self.store.index_of[key]
             if row is None:
-                removed.append(RemovedRow(frame=index, id=name))
+                removed.append(RemovedRow(frame=index, id=box_id(index, name)))
             else:
-                placed.append(PlacedRow(frame=index, row=self.box_row(index, row)))
+                placed.append(PlacedRow(frame=index, row=self.stored_row(index, row, count=alone or index in shown)))
         return placed, removed, [self.track_row(*track) for track in tracks]
 
     def _changed_tracks(self, key: Key, change: CellEdit) -> list[tuple[str, str]]:
@@ -198,30 +284,25 @@ class AnnotationService:
             return Conflict(id=id, by=error.by, sentence=sentence, track=track)
         key = (error.cell[1], error.cell[2])
         row, index = self.store.row(key, error.cell[3]), self.store.index_of[key]
-        present = None if row is None else self.box_row(index, row)
+        present = None if row is None else self.stored_row(index, row)
         sentence = f"{by} {'removed' if row is None else 'changed'} this box meanwhile"
         return Conflict(id=id, by=error.by, sentence=sentence, frame=index, present=present)
 
     # Checks and fits
 
-    def checks(self, index: int, detections: Boxes | None = None) -> tuple[CheckRow, ...]:
-        """Findings of a frame."""
-        return tuple(map(self._check_row, self.annotator.check(index, detections)))
-
-    def all_checks(self) -> tuple[CheckRow, ...]:
-        """Findings of all frames, without points."""
-        return tuple(map(self._check_row, self.annotator.check_all()))
-
-    def _check_row(self, issue: LabelIssue) -> CheckRow:
+    def check_row(self, issue: LabelIssue) -> CheckRow:
+        """One finding."""
+        index = self.store.index_of[issue.frame]
         return CheckRow(
             id=issue.id,
-            frame=self.store.index_of[issue.frame],
-            box=issue.box,
+            frame=index,
+            box=None if issue.box is None else box_id(index, issue.box),
             track=self.numbers.number(issue.track),
             check=issue.check,
             severity=issue.severity,
-            sentence=issue.sentence,
+            sentence=plain_error(issue.sentence, self.opened.data),
             ignored=issue.ignored,
+            at=issue.xy_m,
         )
 
     def fit(self, request: requests.Fit) -> Fitted:

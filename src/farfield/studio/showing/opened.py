@@ -14,9 +14,10 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.frame import Drive, Frame
 from farfield.studio.messages.rows import DriveRow, Layer
 from farfield.studio.showing.layers import layers_of, picture
-from farfield.studio.showing.radar import RadarPower
+from farfield.studio.showing.radar import RadarPower, ground_z_m, in_radar
 from farfield.studio.showing.wire import encode_cloud, encode_map
 from farfield.studio.threads import Cache
+from farfield.vocabulary.counts import count_of
 
 _FRAMES = 5
 """Frames whose clouds stay in memory, for fits and counts."""
@@ -143,7 +144,12 @@ class OpenedDataset:
             except FarfieldError as error:
                 notes, sweeps = [f"one sweep is shown: {plain_error(error, self.data)}"], 1
         layers = layers_of(self.frame(index), index, root=self.data.root, sweeps=sweeps)
-        return layers, (*notes, *_missing(layers, self.frame(index)))
+        return layers, (*self.remarks, *notes, *_missing(layers, self.frame(index)))
+
+    @cached_property
+    def remarks(self) -> tuple[str, ...]:
+        """As of :func:`plain_remarks`."""
+        return plain_remarks(self.data)
 
     def layer(self, index: int, number: int) -> Layer:
         """One layer by its number.
@@ -153,7 +159,7 @@ class OpenedDataset:
         """
         layers = layers_of(self.frame(index), index, root=self.data.root)
         if not 0 <= number < len(layers):
-            raise ConfigError(f"layer: frame {index} has {len(layers)} layers, got number {number}")
+            raise ConfigError(f"layer: frame {index} has {count_of(len(layers), 'layer')}, got number {number}")
         return layers[number]
 
     def cloud(self, index: int, number: int, sweeps: int = 1) -> Payload:
@@ -205,6 +211,22 @@ class OpenedDataset:
         level = power.from_above() if kind == "bev" else power.from_front(low_m, high_m)
         return Payload.of(encode_map(level, {"frame": index, "layer": kind, "version": 1}), "application/octet-stream")
 
+    def radar_near(self, index: int, at_xy: tuple[float, float], reach_m: float) -> Payload:
+        """A radar's cells about a place of the frame as FFP1, at all heights, and the height of the ground there.
+
+        Raises:
+            ConfigError: If the frame has no radar product.
+        """
+        self.check(index)
+        key = ("radar", index, "near", *(round(value, 1) for value in (*at_xy, reach_m)))
+        return self._payloads.get(key, lambda: self._near(index, at_xy, reach_m))
+
+    def _near(self, index: int, at_xy: tuple[float, float], reach_m: float) -> Payload:
+        block = self.radar_power(index).near(in_radar(self.frame(index), at_xy), reach_m)
+        facts = {"frame": index, "layer": "near", "version": 1, "axes": block.axes}
+        facts["ground_z_m"] = ground_z_m(self.frame(index), at_xy)
+        return Payload.of(encode_map(block.level_db, facts, block.doppler_m_s), "application/octet-stream")
+
     def radar_power(self, index: int) -> RadarPower:
         """A radar's power on all its cells.
 
@@ -240,3 +262,8 @@ def plain_error(error: BaseException | str, data: Any = None) -> str:
     if root and root != ".":
         text = text.replace(root + "/", "").replace(root, "the data set")
     return _PATH.sub("…/", text)
+
+
+def plain_remarks(data: Dataset) -> tuple[str, ...]:
+    """What the reader left out or assumed, as the page may show it."""
+    return tuple(plain_error(sentence, data) for _, sentence in data.remarks)

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from farfield.annotation.fitting.ground import ground_ahead
 from farfield.annotation.fitting.radar import peak_near
 from farfield.frame import Frame
 from farfield.geometry.poses import invert
@@ -37,7 +38,7 @@ def axes_of(product: str, kind: LayerKind) -> tuple[Polar | None, Grid | None]:
 
 
 def _axis(values: Float[np.ndarray, " n"]) -> tuple[float, float, int]:
-    return float(values[0]), float(values[1] - values[0]), len(values)
+    return (float(values[0]), float(values[1] - values[0]), len(values)) if len(values) > 1 else (0.0, 1.0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +48,12 @@ class RadarPower:
     Args:
         product: What it was read from.
         power: Polar over ``POWER_UNIT`` (range, azimuth, elevation), or the cube (z, y, x) in file units.
+        doppler_m_s: Wrapped mean velocity of the polar cells, away from the radar; None where it is not there.
     """
 
     product: str
-    power: Float[np.ndarray, "_ _ _"]
+    power: Float[np.ndarray, "a b c"]
+    doppler_m_s: Float[np.ndarray, "a b c"] | None = None
 
     @classmethod
     def read(cls, radar: Mapping[str, Any]) -> "RadarPower":
@@ -64,7 +67,8 @@ class RadarPower:
             raise KeyError(f"the frame has no radar product of {', '.join(PRODUCTS)}")
         values: Any = radar[product]
         if product == "polar3d":
-            return cls(product, np.ascontiguousarray(values[0], dtype=np.float32))
+            power, doppler_m_s = (np.ascontiguousarray(channel, dtype=np.float32) for channel in values[:2])
+            return cls(product, power, doppler_m_s)
         if product == "moments":
             unit = np.float32(1 / POWER_UNIT)
             return cls(product, np.ascontiguousarray(values.mean_power_63.transpose(0, 2, 1)) * unit)
@@ -99,6 +103,42 @@ class RadarPower:
             return decibel(polar_views(self.power[part], "max").front, unit=1.0)
         return decibel(bfs_2d(np.ascontiguousarray(self.power[:, :, part]), "max").front)
 
+    def near(self, at_xy: tuple[float, float], reach_m: float) -> "RadarBlock":
+        """The cells about a place, at all heights.
+
+        Args:
+            at_xy: The place in the radar's own axes, x and y, metres.
+            reach_m: How far the cells reach from it, along and across the line of sight (of a cube, along x and y).
+
+        Returns:
+            No cell where the radar has none there.
+        """
+        x, y = at_xy
+        if not self.polar:
+            axes = {"z_m": CUBE_Z_M, "y_m": CUBE_Y_M, "x_m": CUBE_X_M}
+            parts = [np.arange(len(CUBE_Z_M)), _within(CUBE_Y_M, y, reach_m), _within(CUBE_X_M, x, reach_m)]
+        else:
+            range_m = float(np.hypot(x, y))
+            turn_rad = np.pi if range_m <= reach_m else float(np.arcsin(reach_m / range_m))
+            angles_rad = np.radians(KRADAR_AXES.azimuth_deg)
+            elevations_rad = np.radians(KRADAR_AXES.elevation_deg)
+            axes = {"range_m": KRADAR_AXES.range_m, "azimuth_rad": angles_rad, "elevation_rad": elevations_rad}
+            parts = [
+                _within(KRADAR_AXES.range_m, range_m, reach_m),
+                _within(angles_rad, float(np.arctan2(y, x)), turn_rad),
+                np.arange(len(elevations_rad)),
+            ]
+        if any(len(part) < 2 for part in parts):
+            parts = [part[:0] for part in parts]
+        cut = np.ix_(*parts)
+        level_db = decibel(np.ascontiguousarray(self.power[cut]), unit=1.0 if self.polar else POWER_UNIT)
+        doppler_m_s = None if self.doppler_m_s is None else self.doppler_m_s[cut]
+        return RadarBlock(
+            {name: _axis(axis[part]) for (name, axis), part in zip(axes.items(), parts, strict=True)},
+            level_db,
+            doppler_m_s,
+        )
+
     def peak_near(self, at_xy: tuple[float, float], *, reach_m: float = 1.5) -> tuple[float, float] | None:
         """The strongest echo within reach of a place, both in the radar's own axes; None where there is none."""
         if self.polar:
@@ -112,6 +152,52 @@ class RadarPower:
         return float(CUBE_X_M[column]), float(CUBE_Y_M[row])
 
 
+@dataclass(frozen=True, eq=False)
+class RadarBlock:
+    """Some of a radar's cells in three dimensions.
+
+    Args:
+        axes: First value, step and count of each axis, in the order of the arrays' axes: range, azimuth and elevation
+            (m and rad), or z, y and x (m), all in the radar's own axes.
+        level_db: Power, NaN where there is none.
+        doppler_m_s: Wrapped mean velocity of the cells, away from the radar, or None.
+    """
+
+    axes: Mapping[str, tuple[float, float, int]]
+    level_db: Float[np.ndarray, "a b c"]
+    doppler_m_s: Float[np.ndarray, "a b c"] | None
+
+
+def _within(axis: Float[np.ndarray, " n"], middle: float, reach: float) -> Int[np.ndarray, " m"]:
+    """Numbers of an axis' cells about a value."""
+    return np.flatnonzero(np.abs(axis - middle) <= reach)
+
+
+def in_radar(frame: Frame, at_xy: tuple[float, float]) -> tuple[float, float]:
+    """A place of the frame in its radar's own axes; the same numbers where it is not known how the radar stands."""
+    pose = frame_T_radar_of(frame)
+    if pose is None:
+        return at_xy
+    x, y = (invert(pose) @ np.array([*at_xy, pose[2, 3], 1.0]))[:2].tolist()
+    return x, y
+
+
+def frame_T_radar_of(frame: Frame) -> Float[np.ndarray, "4 4"] | None:
+    """How the radar of a frame's maps stands, or None."""
+    product = product_of(frame.radar)
+    return None if product is None else frame.sensors[product].frame_T_sensor
+
+
+def ground_z_m(frame: Frame, at_xy: tuple[float, float]) -> float | None:
+    """Height of the ground at a place, by what the LiDAR sees before it; None without points."""
+    if not frame.clouds:
+        return None
+    pose = frame_T_radar_of(frame)
+    ego_m = (0.0, 0.0) if pose is None else (float(pose[0, 3]), float(pose[1, 3]))
+    ground = ground_ahead(frame.cloud().points_m, at_xy, ego_m)
+    return ground.z_m(*at_xy) if ground.cells else None
+
+
 def snapped(frame: Frame, power: Callable[[], RadarPower], at: tuple[float, ...]) -> tuple[float, ...]:
     """The radar's peak nearest to a press, in the frame's coordinates; the press itself where there is none.
 
@@ -120,15 +206,13 @@ def snapped(frame: Frame, power: Callable[[], RadarPower], at: tuple[float, ...]
         power: Gives its power, where it is needed.
         at: The press, x and y, metres.
     """
-    product = product_of(frame.radar)
-    frame_T_radar = None if product is None else frame.sensors[product].frame_T_sensor
-    if frame_T_radar is None:
+    pose = frame_T_radar_of(frame)
+    if pose is None:
         return at
-    press = invert(frame_T_radar) @ np.array([at[0], at[1], frame_T_radar[2, 3], 1.0])
-    peak = power().peak_near((float(press[0]), float(press[1])))
+    peak = power().peak_near(in_radar(frame, (at[0], at[1])))
     if peak is None:
         return at
-    x, y = (frame_T_radar @ np.array([*peak, 0.0, 1.0]))[:2].tolist()
+    x, y = (pose @ np.array([*peak, 0.0, 1.0]))[:2].tolist()
     return x, y
 
 

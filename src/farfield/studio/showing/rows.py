@@ -28,11 +28,17 @@ _GROUPS: dict[str, Group] = {
 }
 
 
-def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[BoxRow, ...]:
-    """What was annotated, as rows whose identity is their place in the frame.
+def box_id(index: int, name: str) -> str:
+    """Identity of a box among all of the data set: the number of its frame and its name within that."""
+    return f"{index}:{name}"
+
+
+def annotated_rows(annotation: Annotation, index: int, frame: Frame | None = None) -> tuple[BoxRow, ...]:
+    """What was annotated, as rows whose names within the frame are their places.
 
     Args:
         annotation: The annotation.
+        index: Number of the frame.
         frame: Where points are counted; without it those of the annotation stand.
     """
     boxes = annotation.boxes
@@ -41,7 +47,7 @@ def annotated_rows(annotation: Annotation, frame: Frame | None = None) -> tuple[
     visibility = annotation.visibility
     return tuple(
         BoxRow(
-            id=str(row),
+            id=box_id(index, str(row)),
             track=None if boxes.track_id is None or boxes.track_id[row] < 0 else int(boxes.track_id[row]),
             class_name=str(boxes.label[row]),
             box=box_numbers(boxes, row),
@@ -152,6 +158,7 @@ def class_specs(presets: Sequence[ClassPreset], first: int = 0) -> tuple[ClassSp
                 key=str(number + 1) if number < 9 else "",
                 group=_GROUPS.get(cirrus, "other"),
                 types=tuple(TypeSpec(name=kind, size=size_m) for kind, size_m in preset.types.items()),
+                source=preset.source,
             )
         )
     return tuple(specs)

@@ -45,18 +45,27 @@ def encode_cloud(cloud: Cloud, facts: Mapping[str, Any]) -> bytes:
     return _packed({**facts, "count": len(cloud), "scale_m": scale_m, "offset_m": [0.0, 0.0, 0.0]}, arrays)
 
 
-def encode_map(level: Float[np.ndarray, "rows columns"], facts: Mapping[str, Any]) -> bytes:
+def encode_map(
+    level: Float[np.ndarray, "rows *rest"],
+    facts: Mapping[str, Any],
+    doppler_m_s: Float[np.ndarray, "rows *rest"] | None = None,
+) -> bytes:
     """A map, such as a radar's power in dB: one row after the other, byte 0 where there is no number.
 
     Args:
         level: Values; NaN where there is none.
         facts: What else the header says.
+        doppler_m_s: Velocities of its cells, or None.
     """
     finite = level[np.isfinite(level)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     high = high if high > low else low + 1.0
     scaled = np.where(np.isfinite(level), 1 + np.rint((level - low) / (high - low) * (_STEPS - 1)), 0).astype(np.uint8)
     arrays = {"level": (np.ascontiguousarray(scaled), {"low": low, "high": high})}
+    if doppler_m_s is not None:
+        reach = max(float(np.nan_to_num(np.abs(doppler_m_s)).max(initial=0.0)), 1.0)
+        steps, low, high = as_bytes(doppler_m_s.astype(np.float64).ravel(), -reach, reach)
+        arrays["doppler_m_s"] = steps.reshape(doppler_m_s.shape), {"low": low, "high": high}
     return _packed({**facts, "count": len(level), "scale_m": 1.0, "offset_m": [0.0, 0.0, 0.0]}, arrays)
 
 
