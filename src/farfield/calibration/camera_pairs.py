@@ -21,6 +21,7 @@ from farfield.files.ascii_table import parse_table
 from farfield.files.atomic import read_bytes
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import pose, transform_points
+from farfield.vocabulary.counts import count_of
 
 LEAST_PAIRS = 6
 PAIRS_FOR_FOCAL = 12
@@ -107,7 +108,8 @@ def _check_spread(points_m: Float[np.ndarray, "n 3"], pixels: Float[np.ndarray, 
         number = len(np.unique(values, axis=0))
         if number < LEAST_PAIRS:
             raise ConfigError(
-                f"pairs: expected {LEAST_PAIRS} different {what}, got {number} in {len(values)} pairs. Pick others."
+                f"pairs: expected {LEAST_PAIRS} different {what}, got {number} "
+                f"in {count_of(len(values), 'pair')}. Pick others."
             )
         singular = np.linalg.svd(values - values.mean(axis=0), compute_uv=False)
         if singular[1] < _LINE * singular[0]:

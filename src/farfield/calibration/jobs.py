@@ -33,6 +33,7 @@ from farfield.files.images import read_image
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
+from farfield.vocabulary.counts import count_of
 
 KRADAR_NODE_M = 0.2  # its clouds stand half a cell below the nodes
 _RUN = 10  # frames of a run
@@ -194,7 +195,7 @@ def skew_note(skewed: int, frames: int) -> list[str]:
     if not skewed:
         return []
     what = "the car's own motion during the sweep is not taken out, for times of points or poses are not known"
-    return [f"in {skewed} of {frames} frames {what}: take frames below 2 m/s"]
+    return [f"in {skewed} of {count_of(frames, 'frame')} {what}: take frames below 2 m/s"]
 
 
 def distance_note(distances: tuple[float, ...] | None) -> list[str]:

@@ -42,6 +42,7 @@ from farfield.calibration.radar_matching import (
     whitened_residuals,
 )
 from farfield.errors import DatasetError
+from farfield.vocabulary.counts import count_of
 
 RANGE_CELL_M = 0.462890625  # of K-Radar
 AZIMUTH_CELL_RAD = np.radians(1.0)
@@ -139,7 +140,7 @@ def calibrate_radar(
     if not candidates:
         raise DatasetError(
             f"radar-lidar: expected {LEAST_MATCHES} objects that both sensors see, found fewer in "
-            f"{len(evidence.sensor_pairs)} frames. Take more frames, a busier road, or a nearer start."
+            f"{count_of(len(evidence.sensor_pairs), 'frame')}. Take more frames, a busier road, or a nearer start."
         )
     most = max(len(pairs.track) for _, pairs, _ in candidates)
     candidates = [row for row in candidates if 2 * len(row[1].track) >= most]  # few matches fit anything
@@ -389,7 +390,7 @@ def appraise_radar(
     pairs = match_objects(evidence, pose.vector, pose.frames, gate_m)
     if len(pairs.track) < LEAST_MATCHES:
         raise DatasetError(
-            f"{len(pairs.track)} objects of both sensors lie within {gate_m:g} m of one another, expected "
+            f"{count_of(len(pairs.track), 'object')} of both sensors lie within {gate_m:g} m of one another, expected "
             f"{LEAST_MATCHES}: move the cloud nearer, or refine"
         )
     rows, share = partial(whitened_residuals, pairs=pairs), observation_shares(pairs, pose.vector)

@@ -21,16 +21,18 @@ from farfield.depth.raster import (
 )
 from farfield.depth.rings import draw_surface, image_span, ring_numbers, rings_keep_elevation, sample_rings
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.clouds import MOST_RINGS
 from farfield.frame import Cloud, Frame
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
+from farfield.vocabulary.counts import count_of
 
 Method = Literal["auto", "rings", "delaunay", "ip-basic", "nearest", "sparse"]
 METHODS: tuple[str, ...] = get_args(Method)
 """``auto`` takes rings where they are known (and keep their elevation: the LiDAR stands where it should) or follow
 from the order of the rows, else delaunay."""
 
-MOST_PIXELS, MOST_RINGS = 40_000_000, 512
+MOST_PIXELS = 40_000_000
 MAX_GAP_DEG = 5.0
 _MARGIN = 0.1  # of the image's width, beyond which no point matters
 _STEP_PX = 1.2  # between drawn points
@@ -105,7 +107,8 @@ def depth_map(
         if ring is None and method == "rings":
             raise ConfigError(
                 "method: expected a cloud with the column 'ring', or one whose rows go ring by ring, for rings; got "
-                f"{len(points_m)} points without (or of more than {MOST_RINGS} rings). Take delaunay, or auto."
+                f"{count_of(len(points_m), 'point')} without (or of more than "
+                f"{MOST_RINGS} rings). Take delaunay, or auto."
             )
 
     # 2. Points before the camera.

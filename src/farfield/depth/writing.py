@@ -15,6 +15,7 @@ from farfield.errors import ConfigError
 from farfield.files.atomic import write_text
 from farfield.files.depth_png import FAR_SCALE, KITTI_SCALE, farthest_m, write_depth
 from farfield.jobs import HERE, JobJournal, JobOptions, Outcome, Unit, UnitResult, run
+from farfield.jobs.folders import held
 
 JOURNAL_NAME, SURVEY_NAME, SUMMARY_NAME = ".farfield_depth.jsonl", ".farfield_depth_ends.jsonl", "depth.json"
 Scale = Literal["auto", "256", "128"]
@@ -91,18 +92,21 @@ def write_depth_maps(
         for index, (key, name) in enumerate(zip(dataset.keys, names, strict=True))
     ]
 
-    # 2. The scale of all files: by the farthest point of any frame, unless it is fixed.
-    scale = int(settings.scale) if settings.scale != "auto" else _fitting_scale(dataset, out, settings, units, survey)
+    with held(out):
+        # 2. The scale of all files: by the farthest point of any frame, unless it is fixed.
+        scale = (
+            int(settings.scale) if settings.scale != "auto" else _fitting_scale(dataset, out, settings, units, survey)
+        )
 
-    # 3. The maps, from where an interrupted run stopped.
-    setting = f"{dataset.name} {json.dumps(dataset.recipe, sort_keys=True, default=str)} {settings} {scale}"
-    journal = JobJournal(out / JOURNAL_NAME, setting, overwrite=overwrite)
-    outcome = run(_MapWriting(dataset, out, settings, scale), units, bulk, journal=journal)
+        # 3. The maps, from where an interrupted run stopped.
+        setting = f"{dataset.name} {json.dumps(dataset.recipe, sort_keys=True, default=str)} {settings} {scale}"
+        journal = JobJournal(out / JOURNAL_NAME, setting, overwrite=overwrite)
+        outcome = run(_MapWriting(dataset, out, settings, scale), units, bulk, journal=journal)
 
-    # 4. The summary.
-    values = list(journal.values(unit.name for unit in units))
-    summary = _summary(dataset, settings, scale, values)
-    write_text(out / SUMMARY_NAME, json.dumps(summary, indent=1) + "\n")
+        # 4. The summary.
+        values = list(journal.values(unit.name for unit in units))
+        summary = _summary(dataset, settings, scale, values)
+        write_text(out / SUMMARY_NAME, json.dumps(summary, indent=1) + "\n")
     return DepthSummary(outcome, summary)
 
 

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int, Num, Shaped
 
 from farfield.errors import ConfigError
 from farfield.files.boxes_csv import columns_of, fields_of, read_fields, rows_of, write_fields
+from farfield.files.limits import MAX_NAME
 from farfield.geometry.arrays import Locked
 from farfield.geometry.poses import check_rigid
 from farfield.registry import display_html, named
@@ -86,6 +87,10 @@ class Boxes(Locked):
         self._store("yaw_rad", self.yaw_rad, np.float64, (n,))
         object.__setattr__(self, "yaw_rad", wrap_angle_rad(self.yaw_rad))
         label = [self.label] * n if isinstance(self.label, str) else self.label
+        is_narrow = isinstance(label, np.ndarray) and label.dtype.kind == "U" and label.dtype.itemsize <= 4 * MAX_NAME
+        longest = 0 if is_narrow else max((len(str(name)) for name in label), default=0)
+        if longest > MAX_NAME:  # the array would have this width in every row
+            raise ValueError(f"Boxes.label: expected names of at most {MAX_NAME} characters, got one of {longest}")
         self._store("label", np.asarray(label, dtype=np.str_) if n else np.empty(0, "<U1"), np.str_, (n,))
         for name, dtype in (("score", np.float64), ("track_id", np.int64), ("point_count", np.int64)):
             if getattr(self, name) is not None:

@@ -10,7 +10,7 @@ All coordinates are taken relative to B's centre, so the error does not grow wit
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from farfield.geometry.boxes import Boxes
 
@@ -140,13 +140,37 @@ def pairwise_iou(a: Boxes, b: Boxes, *, kind: str = "3d") -> Float[np.ndarray, "
         IoU in [0, 1], shape (n, m).
     """
     iou = np.zeros((len(a), len(b)))
-    radius_m = (np.hypot(*a.size_m[:, :2].T)[:, None] + np.hypot(*b.size_m[:, :2].T)[None]) / 2
-    gap_x = a.centre_m[:, 0, None] - b.centre_m[None, :, 0]
-    gap_y = a.centre_m[:, 1, None] - b.centre_m[None, :, 1]
-    row, column = np.nonzero(gap_x**2 + gap_y**2 < radius_m**2)
-    if row.size:
-        iou[row, column] = paired_iou(a[row], b[column], kind=kind)
+    if kind not in ("bev", "3d"):
+        raise ValueError(f"pairwise_iou: expected kind to be one of 'bev', '3d', got {kind!r}")
+    rows = max(1, _MATRIX_AT_ONCE // max(len(b), 1))
+    for start in range(0, len(a), rows):
+        part = slice(start, start + rows)
+        radius_m = (np.hypot(*a.size_m[part, :2].T)[:, None] + np.hypot(*b.size_m[:, :2].T)[None]) / 2
+        gap_x = a.centre_m[part, 0, None] - b.centre_m[None, :, 0]
+        gap_y = a.centre_m[part, 1, None] - b.centre_m[None, :, 1]
+        pair = np.argwhere(gap_x**2 + gap_y**2 < radius_m**2)
+        pair[:, 0] += start
+        iou[pair[:, 0], pair[:, 1]] = iou_of_pairs(a, b, pair, kind=kind)
     return iou
+
+
+def iou_of_pairs(a: Boxes, b: Boxes, pair: Int[np.ndarray, "p 2"], *, kind: str = "3d") -> Float[np.ndarray, " p"]:
+    """Intersection over union of pairs of rows, however many: the rows are taken a block at a time.
+
+    Args:
+        a: n boxes.
+        b: m boxes.
+        pair: A row of ``a`` and one of ``b`` each.
+        kind: ``"bev"`` or ``"3d"``.
+
+    Returns:
+        IoU in [0, 1], shape (p,).
+    """
+    parts = [pair[start : start + _PAIRS_AT_ONCE] for start in range(0, max(len(pair), 1), _PAIRS_AT_ONCE)]
+    return np.concatenate([paired_iou(a[part[:, 0]], b[part[:, 1]], kind=kind) for part in parts])
+
+
+_MATRIX_AT_ONCE, _PAIRS_AT_ONCE = 4_000_000, 64 * _CHUNK
 
 
 def aligned_iou(a: Boxes, b: Boxes, *, kind: str = "yaw") -> Float[np.ndarray, " n"]:

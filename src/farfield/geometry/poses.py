@@ -9,6 +9,18 @@ _NOT_ORTHONORMAL = 1e-3  # what calibrations of few digits leave; a longer scale
 _LAST_ROW, _EYE = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
 
 
+def unrigid(target_T_source: Float[np.ndarray, "..."]) -> str:
+    """What keeps a matrix from being a rigid motion, in words; empty where nothing does."""
+    pose = np.asarray(target_T_source, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        return "numbers that are not finite" if pose.shape == (4, 4) else f"shape {pose.shape}"
+    if np.abs(pose[3] - _LAST_ROW).max() > 1e-6:
+        return f"the last row {pose[3].tolist()}"
+    if np.abs(pose[:3, :3] @ pose[:3, :3].T - _EYE).max() > _NOT_ORTHONORMAL:
+        return f"axes of length {np.round(np.linalg.norm(pose[:3, :3], axis=0), 4).tolist()}, or not at right angles"
+    return "a mirror: its determinant is -1" if np.linalg.det(pose[:3, :3]) < 0 else ""
+
+
 def check_rigid(target_T_source: Float[np.ndarray, "4 4"], what: str) -> None:
     """Refuse what is no rigid motion: boxes and clouds would be mirrored, stretched or lost.
 
@@ -19,16 +31,7 @@ def check_rigid(target_T_source: Float[np.ndarray, "4 4"], what: str) -> None:
     Raises:
         ConfigError: If it has a number that is not finite, a scale, shear or mirror, or a last row that is not 0 0 0 1.
     """
-    pose = np.asarray(target_T_source, dtype=np.float64)
-    fault = ""
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        fault = "numbers that are not finite" if pose.shape == (4, 4) else f"shape {pose.shape}"
-    elif np.abs(pose[3] - _LAST_ROW).max() > 1e-6:
-        fault = f"the last row {pose[3].tolist()}"
-    elif np.abs(pose[:3, :3] @ pose[:3, :3].T - _EYE).max() > _NOT_ORTHONORMAL:
-        fault = f"axes of length {np.round(np.linalg.norm(pose[:3, :3], axis=0), 4).tolist()}, or not at right angles"
-    elif np.linalg.det(pose[:3, :3]) < 0:
-        fault = "a mirror: its determinant is -1"
+    fault = unrigid(target_T_source)
     if fault:
         raise ConfigError(
             f"{what}: expected a rigid motion (a rotation and a translation in metres, 4 x 4, last row 0 0 0 1), got "
@@ -147,3 +150,21 @@ def _rotation_vector(rotation: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, 
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64).reshape(-1, 3)
+
+
+def quaternion_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 4"]:
+    """The quaternion x, y, z, w of a rotation matrix, w >= 0 (Shepperd 1978: by the largest of its numbers)."""
+    m = np.asarray(rotation, dtype=np.float64)
+    squares = 1 + np.array([1.0, -1.0, -1.0, 1.0]) * m[0, 0]
+    squares = squares + np.array([-1.0, 1.0, -1.0, 1.0]) * m[1, 1] + np.array([-1.0, -1.0, 1.0, 1.0]) * m[2, 2]
+    largest = int(squares.argmax())
+    sums, differences = m + m.T, m - m.T
+    rows = (
+        (squares[0], sums[0, 1], sums[0, 2], differences[2, 1]),
+        (sums[0, 1], squares[1], sums[1, 2], differences[0, 2]),
+        (sums[0, 2], sums[1, 2], squares[2], differences[1, 0]),
+        (differences[2, 1], differences[0, 2], differences[1, 0], squares[3]),
+    )
+    quaternion = np.array(rows[largest])
+    quaternion /= np.linalg.norm(quaternion)
+    return -quaternion if quaternion[3] < 0 else quaternion

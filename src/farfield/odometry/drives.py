@@ -19,17 +19,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from farfield.datasets import Dataset
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, FileFormatError
+from farfield.files.archives import check_archive
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.files.poses_csv import PoseTable, read_poses, write_poses
 from farfield.frame import Cloud, Drive, Frame
 from farfield.geometry.deskewing import PoseTrack
 from farfield.geometry.poses import transform_points
 from farfield.jobs import HERE, JobJournal, JobOptions, Unit, UnitResult, run
+from farfield.jobs.folders import held
 from farfield.jobs.journal import state_of
 from farfield.odometry.drift import Drift, drift_of, way_m
 from farfield.odometry.odometry import START_SWEEPS, Odometry, OdometrySettings, OdometrySweep, RegistrationResult
 from farfield.odometry.surface_map import SurfaceMap
+from farfield.vocabulary.counts import count_of
 
 FORWARD, BACKWARD = "poses", "backward"
 _JOURNAL = ".journal.jsonl"
@@ -164,7 +167,7 @@ class SweepSource(Protocol):
 
 
 class DriveOdometry:
-    """What odometry found of a drive's sweeps, an array a property, in the order in which they were drive_odometry.
+    """What odometry found of a drive's sweeps, an array a property, in the order in which they were driven.
 
     Args:
         rows: A row a sweep.
@@ -254,13 +257,16 @@ def _restore(path: Path | None, mark: str, settings: OdometrySettings) -> tuple[
     if path is None or not path.is_file():
         return odometry, []
     try:
-        with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as saved:
+        packed = io.BytesIO(read_bytes(path))
+        check_archive(path, packed)
+        packed.seek(0)
+        with np.load(packed, allow_pickle=False) as saved:
             if str(saved["mark"]) != mark:
                 return odometry, []
             columns = [saved[f"row_{name}"] for name in _FIELDS]
             state = {name.removeprefix("map_"): saved[name] for name in saved if name.startswith("map_")}
             now = {name.removeprefix("now_"): saved[name] for name in saved if name.startswith("now_")}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):  # damaged: begin anew
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, FileFormatError):  # damaged: begin anew
         return odometry, []
     odometry.surfaces = SurfaceMap.restored(settings.voxel_m, state)
     odometry.restore(now)
@@ -322,10 +328,19 @@ class OdometryTrack:
     def findings(self) -> tuple[str, ...]:
         """What is wrong with it, in words."""
         blind = Counter(name for name in self.table.blind if name)
-        findings = [f"{count} sweeps: not observable along {name}, kept as predicted" for name, count in blind.items()]
+        findings = [
+            f"{count_of(count, 'sweep')}: not observable along {name}, kept as predicted"
+            for name, count in blind.items()
+        ]
         lost, begins = int(self.table.lost.sum()), int(self.table.begins[1:].sum())
-        findings += [f"{lost} sweeps fit nowhere and were drive_odometry by the motion before"] if lost else []
-        findings += [f"{begins} times no motion is known between two sweeps: a new map begins"] if begins else []
+        findings += (
+            [f"{count_of(lost, 'sweep fits', 'sweeps fit')} nowhere and were moved by the motion before"]
+            if lost
+            else []
+        )
+        findings += (
+            [f"{count_of(begins, 'time')} no motion is known between two sweeps: a new map begins"] if begins else []
+        )
         return tuple(findings)
 
     def to_json(self) -> dict[str, Any]:
@@ -457,21 +472,22 @@ def odometry(
         for kind in kinds
     ]
     work = OdometryTask(data, out, sweeps or SweepSettings(), settings or OdometrySettings())
-    journal = JobJournal(out / _JOURNAL, work.setting, overwrite=overwrite)
-    if bulk.workers == 0:  # units are long: each is worth a worker
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        bulk = replace(bulk, workers=min(cores, len(units)))
-    clocks = run(work, units, bulk, journal=journal).clocks
-    if (out / _SAVED).is_dir() and not any((out / _SAVED).iterdir()):
-        (out / _SAVED).rmdir()
-    facts: Sequence[Any] = list(journal.values(unit.name for unit in units))
-    return [
-        OdometryTrack(
-            drive.name,
-            read_poses(out / FORWARD / file_name(drive.name)),
-            read_poses(out / BACKWARD / file_name(drive.name)) if backward else None,
-            facts[number * len(kinds)],
-            clocks.get(number * len(kinds)),
-        )
-        for number, drive in enumerate(drives)
-    ]
+    with held(out):
+        journal = JobJournal(out / _JOURNAL, work.setting, overwrite=overwrite)
+        if bulk.workers == 0:  # units are long: each is worth a worker
+            cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+            bulk = replace(bulk, workers=min(cores, len(units)))
+        clocks = run(work, units, bulk, journal=journal).clocks
+        if (out / _SAVED).is_dir() and not any((out / _SAVED).iterdir()):
+            (out / _SAVED).rmdir()
+        facts: Sequence[Any] = list(journal.values(unit.name for unit in units))
+        return [
+            OdometryTrack(
+                drive.name,
+                read_poses(out / FORWARD / file_name(drive.name)),
+                read_poses(out / BACKWARD / file_name(drive.name)) if backward else None,
+                facts[number * len(kinds)],
+                clocks.get(number * len(kinds)),
+            )
+            for number, drive in enumerate(drives)
+        ]

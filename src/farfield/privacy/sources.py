@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.stamps import name_time_ns
 from farfield.files.videos import VIDEOS
 from farfield.vocabulary.kradar import STEREO_CAMERAS
 
 PICTURES = (".jpg", ".jpeg", ".png")
 _NUMBER = re.compile(r"\d+")
-_STAMP_DIGITS, _NS = range(16, 20), 1e-9
+_NS = 1e-9
 NOMINAL_HZ = 10.0
 
 PAIRS = (
@@ -100,8 +101,7 @@ def _walk(root: Path) -> Iterator[tuple[Path, list[Path]]]:
 def _series(root: Path, files: Sequence[Path]) -> Series:
     ordered = sorted(files, key=_by_numbers)
     names = [file.stem for file in ordered]
-    # A name of 16 to 19 digits is a stamp in nanoseconds.
-    stamps_s = [int(name) * _NS for name in names if name.isdigit() and len(name) in _STAMP_DIGITS]
+    stamps_s = [time_ns * _NS for name in names if (time_ns := name_time_ns(name)) is not None]
     if len(stamps_s) == len(names) and all(a < b for a, b in itertools.pairwise(stamps_s)):
         return Series(root, tuple(ordered), np.array(stamps_s) - stamps_s[0], stamped=True)
     return Series(root, tuple(ordered), np.arange(len(ordered)) / NOMINAL_HZ, stamped=False)

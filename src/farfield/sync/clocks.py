@@ -15,6 +15,7 @@ from jaxtyping import Float, Int64
 
 from farfield.errors import ConfigError
 from farfield.files.clock_logs import ClockLog
+from farfield.vocabulary.counts import count_of
 
 Noise = Literal["auto", "symmetric", "one-sided"]
 SKEWED = 0.3
@@ -354,7 +355,9 @@ def summarised(log: ClockLog) -> ExchangeClock:
     """
     rows = np.flatnonzero(log.locked)
     if not len(rows):
-        raise ConfigError(f"{log.path}: expected a clock that was locked to its master, got {len(log)} rows before")
+        raise ConfigError(
+            f"{log.path}: expected a clock that was locked to its master, got {count_of(len(log), 'row')} before"
+        )
     offset = log.offset_ns[rows].astype(np.float64)
     median = float(np.median(offset))
     spread = median if log.summary else 1.4826 * float(np.median(np.abs(offset - median)))

@@ -16,6 +16,7 @@ from farfield.files.clock_logs import is_clock_log
 from farfield.files.radiate import read_times
 from farfield.files.stamps import StampList, Unit, read_stamps, recognise_stamps
 from farfield.frame import Drive
+from farfield.vocabulary.counts import count_of
 
 Stamp = Literal["header", "log"]
 LISTS = (".txt", ".csv")
@@ -162,7 +163,9 @@ def _of_bag(path: Path, stamp: Stamp) -> RecordedStreams:
             misordered = int((np.diff(times) < 0).sum())
             note = "no stamp of its own: times of recording" if topic_stamps.header_ns is None else ""
             note = (
-                f"{misordered} stamps are earlier than the one recorded before; taken in order" if misordered else note
+                f"{count_of(misordered, 'stamp is', 'stamps are')} earlier than the one recorded before; taken in order"
+                if misordered
+                else note
             )
             streams[topic] = StampSource(
                 blocks=partial(iter, [times[order]]),

@@ -12,11 +12,12 @@ from jaxtyping import Float, Int64
 
 from farfield.errors import ConfigError
 from farfield.files.ascii_table import ROWS_AT_ONCE, Text, integers, join
-from farfield.files.atomic import open_atomic
+from farfield.files.atomic import open_atomic, read_bytes
 from farfield.sync.clocks import MAX_PAIRS, ClockModel, ExchangeClock, fit_clock
 from farfield.sync.sources import RecordedStreams
 from farfield.sync.stamps import StreamCounter, StreamStats, apart, wrapped_note
 from farfield.sync.streaming import MatchBlock, match_blocks
+from farfield.vocabulary.counts import count_of
 
 SPEED_M_S = 30.0
 """Residuals are also given as the way at this speed: that of a car that comes towards us."""
@@ -52,6 +53,14 @@ class StreamPair:
     residual_ns: Int64[np.ndarray, " k"]
     clock: ClockModel | None
     untold: str
+
+    @property
+    def usual(self) -> str:
+        """The median of the residuals in words, ``4.000 ms later`` or ``7.000 ms earlier``; empty without pairs."""
+        if not len(self.residual_ns):
+            return ""
+        middle = float(np.median(self.residual_ns)) / 1e6
+        return f"{abs(middle):.3f} ms {'earlier' if middle < 0 else 'later'}"
 
     def to_json(self) -> dict[str, Any]:
         """All but the single residuals, with their quantiles in milliseconds and the way at :data:`SPEED_M_S`."""
@@ -294,7 +303,7 @@ def _clock(
 ) -> tuple[ClockModel | None, str]:
     """Offset and drift of a stream where its rate and the reference's have a whole ratio, and what is left open."""
     if len(times) < FEWEST_PAIRS or not own.tick_ns or not other.tick_ns:
-        return None, f"{len(times)} pairs: too few for an offset and a drift"
+        return None, f"{count_of(len(times), 'pair')}: too few for an offset and a drift"
     fast, slow = sorted((own.tick_ns, other.tick_ns))
     away = abs(slow / fast - round(slow / fast))
     if away > WHOLE_RATIO:
@@ -334,26 +343,33 @@ def _findings(
     for name, pair in pairs.items():
         possible = min(pair.matched + pair.lost, streams[name].count)
         if name not in alone and pair.matched < 0.9 * possible:
-            findings.append(f"{name}: {pair.matched} pairs with {reference}, where {possible} would be possible")
+            findings.append(
+                f"{name}: {count_of(pair.matched, 'pair')} with {reference}, where {possible} would be possible"
+            )
     for name, source in recording.streams.items():
         main = source.sensor
         if main and main != name and main in streams and streams[main].count != streams[name].count:
             findings.append(
-                f"{name}: {streams[name].count} and {streams[main].count} stamps of the same messages of {main}; rows "
+                f"{name}: {streams[name].count} and {count_of(streams[main].count, 'stamp')} "
+                f"of the same messages of {main}; rows "
                 "are missing, so they are matched by time"
             )
     for name, health in streams.items():
         if health.duplicates:
-            findings.append(f"{name}: {health.duplicates} stamps stand there twice")
+            findings.append(f"{name}: {count_of(health.duplicates, 'stamp stands', 'stamps stand')} there twice")
         if health.backwards:
             wrapped = wrapped_note(health.set_back_ns, health.period_ns)
             findings.append(
-                f"{name}: {health.backwards} stamps run backwards{f', {wrapped},' if wrapped else ''} and are left out "
-                "until it is later again"
+                f"{name}: {count_of(health.backwards, 'stamp runs', 'stamps run')} backwards"
+                f"{f', {wrapped},' if wrapped else ''} and {'is' if health.backwards == 1 else 'are'} left out until "
+                "it is later again"
             )
         if health.gaps and health.longest_gap_ns is not None and health.period_ns:
             longest = health.longest_gap_ns / 1e9
-            findings.append(f"{name}: {health.gaps} gaps, about {health.lost} messages lost, longest {longest:.3f} s")
+            findings.append(
+                f"{name}: {count_of(health.gaps, 'gap')}, about "
+                f"{count_of(health.lost, 'message')} lost, longest {longest:.3f} s"
+            )
         if recording.streams[name].note:
             findings.append(f"{name}: {recording.streams[name].note}")
     return findings
@@ -390,7 +406,9 @@ class MatchTable:
         if not self.begun:
             heads = [f"{self.reference}_frame", f"{self.reference}_ns"]
             heads += [f"{name}_{what}" for name in others for what in ("frame", "later_ns")]
-            self.handle.write((",".join(head.replace(",", "_") for head in heads) + "\n").encode())
+            self.handle.write(
+                (",".join(head.replace(",", "_") for head in heads) + "\n").encode(errors="backslashreplace")
+            )
             self.begun = True
         for begin in range(0, len(rows.reference_ns), ROWS_AT_ONCE):
             part = slice(begin, begin + ROWS_AT_ONCE)
@@ -412,7 +430,10 @@ class MatchTable:
 
 def _texts(names: Sequence[str]) -> Text:
     """Words as rows of codes; commas and line ends, which a table has no room for, become low lines."""
-    plain = [name.translate({ord(","): "_", ord("\n"): "_", ord("\r"): "_"}).encode() for name in names]
+    plain = [
+        name.translate({ord(","): "_", ord("\n"): "_", ord("\r"): "_"}).encode(errors="backslashreplace")
+        for name in names
+    ]
     lines = np.array(plain or [b"0"], dtype=np.bytes_)
     return lines.view(np.uint8).reshape(len(lines), -1)
 
@@ -426,5 +447,5 @@ def match_table(path: Path, reference: str, labels: Mapping[str, Sequence[str]])
 
 def read_match_table(path: Path | str) -> dict[str, list[str]]:
     """The columns of a table of matches, as text; a cell without a partner is empty."""
-    rows = [line.split(",") for line in Path(path).read_text(encoding="utf-8").splitlines()]
+    rows = [line.split(",") for line in read_bytes(path).decode("utf-8").splitlines()]
     return dict(zip(rows[0], map(list, zip(*rows[1:], strict=True)), strict=True)) if len(rows) > 1 else {}

@@ -11,6 +11,7 @@ from farfield.errors import ConfigError
 from farfield.frame.drive import Drive, Key
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
+from farfield.vocabulary.counts import count_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,9 +122,9 @@ def unreported_note(
     if sure_score is not None and unsure_hits > 1:
         hits += f", with scores below {sure_score:g} {unsure_hits} hits (unsure_hits)"
         options.append("-o unsure_hits=1")
-    short = f", and the shortest drive has {shortest} frames" if shortest < 2 * needed else ""
+    short = f", and the shortest drive has {count_of(shortest, 'frame')}" if shortest < 2 * needed else ""
     return [
-        f"{missing} of {boxes} detections are in no reported track: a track needs {hits}{short}; "
+        f"{missing} of {count_of(boxes, 'detection')} are in no reported track: a track needs {hits}{short}; "
         f"{' '.join(options)} reports every one"
     ]
 

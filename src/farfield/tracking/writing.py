@@ -19,6 +19,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import camera_from_lidar
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
+from farfield.vocabulary.counts import count_of
 
 MOST_BOXES = 500
 """Boxes of a sample that nuScenes' format holds."""
@@ -132,7 +133,9 @@ def write_nuscenes_tracks(path: Path | str, tracks: Detections, *, names: Mappin
         boxes = _check_ids(tracks.boxes[key], key)
         if len(boxes) > MOST_BOXES or key[1] in results:
             expected = f"at most {MOST_BOXES} boxes a sample, and each token once"
-            raise ConfigError(f"nuScenes' tracking JSON: expected {expected}; got {len(boxes)} boxes in {key}")
+            raise ConfigError(
+                f"nuScenes' tracking JSON: expected {expected}; got {count_of(len(boxes), 'box', 'boxes')} in {key}"
+            )
         boxes = boxes.transform(poses[key]) if key in poses else boxes
         results[key[1]] = [_nuscenes_box(boxes, row, key, names or {}) for row in range(len(boxes))]
     meta: dict[str, Any] = {f"use_{name}": name == "lidar" for name in _SENSORS}
