@@ -157,7 +157,7 @@ def test_shares_of_labels_are_whole_sequences_and_nested(without_shape_checks: N
 
 
 def test_a_part_is_that_of_the_experiment(planned: Any, data: Any) -> None:
-    with pytest.raises(DatasetError, match=r"1 sequences in the part 0 to 0\.25"):
+    with pytest.raises(DatasetError, match=r"1 sequence in the part 0 to 0\.25"):
         planned("run", {"name": "device"}, "pointpillars", {**TWO, "target": {"part": [0, 0.25]}}).run()
     assert len(part_of(open_dataset(data), (0.0, 1.0))) == 3
     with pytest.raises(ValueError, match="two rising shares"):

@@ -124,3 +124,10 @@ def test_empty_clouds_give_empty_voxels():
 def test_senseless_grids_are_refused(wrong):
     with pytest.raises(ValidationError):
         VoxelGridConfig(**wrong)
+
+
+def test_the_order_of_a_clouds_points_changes_no_mean():
+    cloud = random_cloud(4, 20_000)
+    order = torch.from_numpy(np.random.default_rng(5).permutation(len(cloud)))
+    as_read, shuffled = (mean_voxels([rows], GRID, 4, columns=COLUMNS) for rows in (cloud, cloud[order]))
+    assert torch.equal(as_read.features, shuffled.features)

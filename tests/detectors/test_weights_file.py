@@ -14,8 +14,10 @@ from safetensors.torch import save
 
 from farfield.detectors import DETECTORS, build_detector
 from farfield.detectors.runtime import Detector
-from farfield.detectors.weights import bundled_weights, load_weights, save_weights
+from farfield.detectors.weights import _provenance_of, bundled_weights, load_weights, save_weights
 from farfield.errors import ConfigError, FarfieldError, FileFormatError
+from farfield.evaluation.evaluating import training_text
+from farfield.evaluation.leakage import digests_text
 
 GRID = {"range_m": 16.0, "half_width_m": 8.0, "cell_m": 0.5}
 
@@ -62,7 +64,7 @@ def test_lengths_of_a_configuration_are_bounded(tmp_path: Path, path: str, value
         described[last] = value
 
     save_tiny(tmp_path / "w.safetensors", change)
-    with pytest.raises(FileFormatError, match=path.split(".")[0]):
+    with pytest.raises(FileFormatError, match=f"{path.split('.')[0]}|which JSON does not have"):
         load_weights(tmp_path / "w.safetensors")
 
 
@@ -178,18 +180,48 @@ def test_what_a_network_cannot_compute_is_not_nothing() -> None:
         {"frames": "many"},
     ],
 )
-def test_a_provenance_that_its_readers_do_not_understand_is_refused(tmp_path: Path, provenance: Any) -> None:
-    """It raised KeyError, AttributeError or StopIteration where it was said what a detector learnt from."""
+def test_a_provenance_of_other_types_is_read_as_far_as_it_can_be(tmp_path: Path, provenance: Any) -> None:
+    """It raised KeyError, AttributeError or StopIteration where it was said what a detector learnt from; then others'
+    weights were refused for it."""
     save_tiny(tmp_path / "w.safetensors")
     with safe_open(tmp_path / "w.safetensors", framework="pt") as file:
         metadata = {name: text for name, text in file.metadata().items() if name != "sha256"}
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     (tmp_path / "w.safetensors").write_bytes(save(tensors, metadata={**metadata, "provenance": json.dumps(provenance)}))
-    with pytest.raises(FileFormatError, match=r"w\.safetensors, provenance"):
-        load_weights(tmp_path / "w.safetensors")
+    with pytest.warns(UserWarning, match="not known as far as it stands there|carry no digest") as warned:
+        read = load_weights(tmp_path / "w.safetensors")[1]
+    assert len(warned) == 2
+    name = next(iter(provenance)) if provenance else "provenance"
+    assert name in str([warning.message for warning in warned])
+    Detector(build_detector(DETECTORS["pointpillars"].config_class(grid=GRID), seed=0), provenance=read, device="cpu")
+    training_text(read)
+    assert digests_text(read) is None, "nothing of it says that all is known"
     if not isinstance(provenance, dict):
         return
     config = DETECTORS["pointpillars"].config_class(grid=GRID)
     with pytest.raises(FarfieldError, match="provenance"):
         save_weights(tmp_path / "new.safetensors", tensors, config=config, provenance=provenance)
     assert not (tmp_path / "new.safetensors").exists()
+
+
+def test_what_can_be_read_of_anothers_provenance_stays() -> None:
+    streams = {"a": {"frame_digests": "npy:0123456789ab", "frames": "7"}, "b": {"frame_digests": 5}}
+    data = {"path": "x", "clouds": ["lidar"], "options": 3}
+    record = {"experiment": {"data": data}, "streams": streams, "start": "x", "own": [1, {"kept": True}]}
+    with pytest.warns(UserWarning, match=r"streams\.a\.frames.*streams\.b\.frame_digests") as warned:
+        read = _provenance_of(Path("w.safetensors"), json.dumps(record))
+    assert "experiment.data.options" in str(warned[0].message)
+    assert read == {
+        "experiment": {"data": {"path": "x", "clouds": ["lidar"], "options": {}}},
+        "streams": {"a": {"frame_digests": "npy:0123456789ab"}, "b": {}},
+        "start": {},
+        "own": [1, {"kept": True}],
+    }
+
+
+def test_a_record_that_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
+    network, _ = load_weights(next(iter(bundled_weights().values())))
+    for odd in ({"a": "caf\udce9"}, {"a": float("nan")}, {"a": 1 << 70}):
+        with pytest.raises((FileFormatError, ValueError)):
+            save_weights(tmp_path / "w.safetensors", network.state_dict(), config=network.config, provenance=odd)
+    assert not (tmp_path / "w.safetensors").exists()

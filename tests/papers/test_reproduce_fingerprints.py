@@ -25,6 +25,18 @@ def test_what_runs_learnt_from_is_what_was_noted(tmp_path: Path, monkeypatch: py
     assert learnt_fingerprints(tmp_path, locations, NAMES) == {}
 
 
+def test_what_was_noted_is_the_same_file_in_whatever_order(tmp_path: Path) -> None:
+    """Runs that were killed note their sets in another order than one that nothing disturbed."""
+    locations, notes = tiny(tmp_path).locations, []
+    for order in (("train", "device"), ("device", "train")):
+        folder = tmp_path / order[0]
+        folder.mkdir()
+        for name in order:
+            note_fingerprints(folder, locations, {name: name})
+        notes.append((folder / LEARNT).read_bytes())
+    assert notes[0] == notes[1]
+
+
 def test_damaged_notes_are_refused(tmp_path: Path) -> None:
     (tmp_path / LEARNT).write_text("{", encoding="utf-8")
     with pytest.raises(FileFormatError, match="fingerprints by set"):
@@ -35,3 +47,11 @@ def test_keys_and_checkpoints_have_the_fingerprint_of_the_first_frames(tmp_path:
     made = tiny(tmp_path)
     job = made.jobs(made.locations, {"train": "x", "val": "", "device": "y"})[1]
     assert job.fingerprints == {"labelled": "x"}
+
+
+def test_a_folder_without_frames_of_a_simulation_that_was_killed_has_none(tmp_path: Path) -> None:
+    """It ended every later run: 'recognised no data set. It holds: simulation.json'."""
+    locations = tiny(tmp_path).locations
+    locations["device"].path.mkdir(parents=True)
+    (locations["device"].path / "simulation.json").write_text("{}", encoding="utf-8")
+    assert learnt_fingerprints(tmp_path, locations, NAMES) == {}

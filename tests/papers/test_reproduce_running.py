@@ -1,7 +1,9 @@
 """What a job leaves besides its scores: peak memory of the process, and words that are kept down."""
 
+import fcntl
 import json
 import logging
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +14,8 @@ pytest.importorskip("torch")
 
 from tinygrid import tiny
 
-from farfield.errors import ConfigError
-from farfield.jobs import Unit
-from farfield.jobs.folders import locked
+from farfield.errors import ConfigError, FileFormatError
+from farfield.jobs import Unit, folders
 from farfield.papers import running
 from farfield.papers.deciding import Scores
 from farfield.papers.running import CpuTime, quiet
@@ -105,9 +106,27 @@ def test_a_training_that_diverges_is_said_and_stops_no_other(tmp_path: Path, mon
         running.RunTask(tmp_path, scoring)(Unit(job.folder, parameters=job))
 
 
-def test_two_commands_do_not_work_in_one_folder(tmp_path: Path) -> None:
-    with locked(tmp_path, shared=False), pytest.raises(ConfigError, match="no other command"):
+@pytest.mark.parametrize("torn", ['{"processor_s": ', "\0\0\0", "\0\0\n"])
+def test_a_torn_last_line_of_the_clock_is_cut_before_the_next(tmp_path: Path, torn: str) -> None:
+    (job, *_) = tiny(tmp_path).jobs(tiny(tmp_path).locations)
+    home = tmp_path / job.folder
+    home.mkdir(parents=True)
+    (home / running.CLOCK).write_text('{"processor_s": 1.0}\n' + torn)
+    assert running.clocks_of(job, tmp_path) == [{"processor_s": 1.0}]
+    running.RunTask._finish(home, {}, CpuTime(home / "spent.json"))
+    assert [clock["processor_s"] for clock in running.clocks_of(job, tmp_path)] == [1.0, 0.0]
+    (home / running.CLOCK).write_text('words\n{"processor_s": 1.0}\n')
+    with pytest.raises(FileFormatError, match=r"line 1: expected times as JSON.*Remove the line"):
+        running.clocks_of(job, tmp_path)
+
+
+def test_two_commands_do_not_work_in_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folders, "_PATIENCE_S", 0.2)
+    handle = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)  # as another process would
+    with pytest.raises(ConfigError, match=r"no other command.*--page"):
         tiny(tmp_path).run()
+    os.close(handle)
 
 
 def test_a_job_that_is_only_trained_is_not_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,9 +54,29 @@ def summary(out: Path) -> dict[str, Any]:
     return dict(json.loads((out / "reproduction.json").read_text()))
 
 
+def checked_plan(out: Path) -> None:
+    """What a plan says and measures, before anything is run; one that does not fit is refused at once."""
+    reproduction = tiny(out)
+    for name in reproduction.settings.sets:  # of a command that was killed while it measured
+        (out / ".measure" / "data" / name).mkdir(parents=True)
+    outline = reproduction.outline()
+    measured = json.loads((out / "measured.json").read_text())
+    assert measured["simulating_s"].keys() == reproduction.settings.sets.keys()
+    assert min(measured["simulating_s"].values()) > 0
+    assert (outline.jobs, outline.rows, outline.seeds) == (JOBS, len(RUNS), 2)
+    assert reproduction.outline() == outline  # measured once
+    assert not (out / "data").exists()  # a plan simulates no data but those it measures on
+    hasty = replace(reproduction, minutes=0.001)
+    began = time.process_time()
+    with pytest.raises(ConfigError, match="fewest steps"):
+        hasty.outline()
+    assert time.process_time() - began < 1  # nothing is measured again
+
+
 @pytest.mark.slow
 def test_killed_twice_it_gives_the_same_and_redoes_nothing(tmp_path: Path) -> None:
     whole, torn = tmp_path / "whole", tmp_path / "torn"
+    checked_plan(whole)
     page = tiny(whole).run()
     assert page.is_file()
     expected = summary(whole)
@@ -81,27 +101,12 @@ def test_killed_twice_it_gives_the_same_and_redoes_nothing(tmp_path: Path) -> No
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert summary(torn) == expected
 
+    (torn / ".measure" / "data").mkdir(parents=True)  # of a command for other workers, killed while it measured
+    tiny(torn).run()
+    assert not (torn / ".measure").exists()
 
-@pytest.mark.slow
-def test_the_page_of_what_is_there_and_a_plan_that_does_not_fit(tmp_path: Path) -> None:
-    reproduction = tiny(tmp_path / "out")
-    for name in reproduction.settings.sets:  # of a command that was killed while it measured
-        (tmp_path / "out" / ".measure" / "data" / name).mkdir(parents=True)
-    outline = reproduction.outline()
-    measured = json.loads((tmp_path / "out" / "measured.json").read_text())
-    assert measured["simulating_s"].keys() == reproduction.settings.sets.keys()
-    assert min(measured["simulating_s"].values()) > 0
-    assert (outline.jobs, outline.rows, outline.seeds) == (JOBS, len(RUNS), 2)
-    assert reproduction.outline() == outline  # measured once
-    assert not (tmp_path / "out" / "data").exists()  # a plan simulates no data but those it measures on
-    hasty = replace(reproduction, minutes=0.001)
-    began = time.process_time()
-    with pytest.raises(ConfigError, match="fewest steps"):
-        hasty.outline()
-    assert time.process_time() - began < 1  # nothing is measured again
-    reproduction.run()
-    lost = next((tmp_path / "out" / "runs").glob("s1-uniform-*/scores.json"))
+    lost = next(whole.glob("runs/s1-uniform-*/scores.json"))
     lost.unlink()
-    reproduction.run(page_only=True)
-    assert summary(tmp_path / "out")["runs"] == {"planned": JOBS, "done": JOBS - 1}
+    tiny(whole).run(page_only=True)  # the page of what is there
+    assert summary(whole)["runs"] == {"planned": JOBS, "done": JOBS - 1}
     assert not lost.exists()

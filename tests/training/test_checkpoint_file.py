@@ -255,16 +255,23 @@ def test_damaged_files_beside_a_checkpoint_are_named(experiment: Path, tmp_path:
     lines = log.read_text()
     assert [row["step"] for row in logged(path.parent)] == [1, 2]
     for line in DAMAGED_LINES:
-        log.write_text(lines + line + "\n")
+        log.write_text(lines + line + '\n{"step": 4}\n')
         with pytest.raises(FileFormatError, match=r"log\.jsonl, line 3"):
             logged(path.parent)
-    log.write_text(lines + '{"step": 3, "lo')
-    assert [row["step"] for row in logged(path.parent)] == [1, 2], "a process that was killed left a line without end"
-    begin_log(log, anew=False)
-    assert log.read_text() == lines
+    for torn in ('{"step": 3, "lo', "\0\0\0", "\0\0\n", '{"step": 3, \0\0\0\n'):
+        log.write_text(lines + torn)
+        assert [row["step"] for row in logged(path.parent)] == [1, 2], "a process that was killed left a torn line"
+        begin_log(log, anew=False)
+        assert log.read_text() == lines
     settings = load_experiment(experiment, ["training.steps=3", "training.start_from=pointpillars-cirrus-sim"])
     start = {"weights": "pointpillars-cirrus-sim", "sha256": "0", "share": 1.0}
     for tree in ({}, [], 7, {**start, "weights": 7}, {**start, "frame_digests": ["a"]}):
         (path.parent / "start.json").write_text(json.dumps(tree))
         with pytest.raises(FileFormatError, match=r"start\.json"):
             Plan(settings, path.parent).run()
+
+
+def test_a_device_in_a_checkpoints_place_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.pt").symlink_to("/dev/zero")
+    with pytest.raises(FileFormatError, match="a device or a pipe"):
+        load_checkpoint(tmp_path / "checkpoint.pt")

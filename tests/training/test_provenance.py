@@ -52,7 +52,7 @@ def test_own_data_in_the_place_of_simulated_ones_are_not_called_simulated(
     Plan(load_experiment(experiment, words), folder).run(report)
     provenance = load_weights(folder / "weights.safetensors")[1]
     assert "simulated" not in training_text(provenance), training_text(provenance)
-    assert training_text(provenance).startswith(f"3 frames of {own}, clouds gaussian and uniform, 1 steps of 2")
+    assert training_text(provenance).startswith(f"3 frames of {own}, clouds gaussian and uniform, 1 step of 2")
     assert provenance["experiment"]["data"]["simulate"] is None
     assert "cirrus-sim-varied" not in (folder / "experiment.yaml").read_text()
     assert "cirrus-sim-varied" not in (folder / "provenance.json").read_text()
@@ -174,7 +174,7 @@ def test_a_split_that_is_all_that_is_trained_on_is_refused(
 ) -> None:
     own = folder_of_sweeps(tmp_path / "mine", 10, rng)
     settings = words(own, "data.split=time-val", "training.validation={every_steps: 1, split: time-val}")
-    with pytest.raises(ConfigError, match=r"training\.validation: all . frames that are trained on.*data\.split"):
+    with pytest.raises(ConfigError, match=r"training\.validation: all . frames? that are trained on.*data\.split"):
         Plan(load_experiment(experiment, settings), tmp_path / "run").run()
 
 
@@ -186,7 +186,9 @@ def test_copies_of_held_out_frames_are_not_trained_on(
     settings = words(own, "training.validation={every_steps: 1, frames: 2}")
     Plan(load_experiment(experiment, settings), tmp_path / "run").run()
     provenance = load_weights(tmp_path / "run" / "weights.safetensors")[1]
-    assert provenance["held_out"] == {"frames": 2, "split": "", "taken_out": 1}
+    held = ff.open_dataset(own).select([4, 5])
+    digests = " ".join(frame_digests(held))
+    assert provenance["held_out"] == {"frames": 2, "split": "", "taken_out": 1, "frame_digests": digests}
     learnt = provenance["streams"]["labelled"]["frame_digests"].split()
     assert learnt == list(frame_digests(ff.open_dataset(own))[1:4])
 
@@ -199,3 +201,26 @@ def test_labels_of_copied_sweeps_are_not_scored_as_held(tmp_path: Path, rng: np.
     assert held_frames(labels, learnt.select([0, 2])).frames.keys == labels.select([1, 3]).keys
     with pytest.raises(ConfigError, match="all 4 are learnt from"):
         held_frames(labels, learnt)
+
+
+def test_a_score_on_the_frames_that_chose_the_weights_says_so(
+    experiment: Path, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """The best weights, scored on the frames by which they were chosen, "learnt from none of the frames"."""
+    own = folder_of_sweeps(tmp_path / "mine", 6, rng)
+    settings = words(own, "training.validation={every_steps: 1, frames: 2}")
+    folder = tmp_path / "run"
+    Plan(load_experiment(experiment, settings), folder).run()
+    data = ff.open_dataset(own).select([3, 4, 5])
+    chosen = [index for index in range(3) if frame_digests(data)[index] in _held(folder)]
+    assert chosen
+    best = ff.detect(ff.load_detector(folder / "best.safetensors", device="cpu"), data)
+    assert f"chosen by {len(chosen)} of 3 frames" in best.seen_in_training
+    assert any("too good" in note for note in best.score("dds", label=best.classes[0]).notes)
+    last = ff.detect(ff.load_detector(folder / "weights.safetensors", device="cpu"), data)
+    assert "chosen" not in last.seen_in_training
+
+
+def _held(folder: Path) -> list[str]:
+    provenance = load_weights(folder / "best.safetensors")[1]
+    return str(provenance["held_out"]["frame_digests"]).split()

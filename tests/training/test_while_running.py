@@ -83,7 +83,7 @@ def test_validation_changes_no_weight(experiment, tmp_path):
 
 
 def test_frames_without_a_box_of_its_classes_are_refused_in_words(experiment, tmp_path):
-    with pytest.raises(ConfigError, match=r"training\.validation: none of the 1 frames has a box of vehicle"):
+    with pytest.raises(ConfigError, match=r"training\.validation: none of the 1 frame has a box of vehicle"):
         plan(
             experiment, tmp_path / "run", VALIDATED, "training.steps=2", "data.aliases={vehicle: car}", ONE_CLASS
         ).run()
@@ -156,7 +156,7 @@ def test_it_says_what_it_will_do_before_it_does_it(experiment, tmp_path, capsys)
     assert "to 64 m; classes vehicle" in said
     assert "3 frames of 1 drive" in said
     assert "3 steps of 2 frames, 2.0 passes over the data, learning rate up to 0.003, fp32 on the" in said
-    assert "validation every 2 steps on 1 frames held out" in said
+    assert "validation every 2 steps on 1 frame held out" in said
     assert f"run: {tmp_path / 'runs' / 'tiny'}, which begins" in said
     assert not (tmp_path / "runs").exists()
     assert main([*words, "--dry-run", "-o", "data.path=absent"]) == 1

@@ -3,11 +3,13 @@
 The teacher is the slow average of the student. It looks at target frames as they are; the student sees the same frames
 moved and thinned and learns the teacher's boxes, of which those with a middling score are ignored, neither object nor
 background. Labelled source frames are in every batch. The number of steps is fixed: the best step on the target's
-labels is not looked for, for whoever has these would train on them.
+labels is not looked for, for whoever has these would train on them. Whoever has labels of a few target frames does so
+here: with ``labels`` these frames are in every batch too, and their boxes teach the student beside the teacher's. So do
+``donors``: the target's own sweeps with simulated road users in them (LiDARsim, CVPR 2020; Real3D-Aug, 2022).
 """
 
 import copy
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import ClassVar, Literal, cast
 
 import numpy as np
@@ -45,8 +47,10 @@ from farfield.training.method import (
     total_of,
 )
 from farfield.training.weather import check_weather
+from farfield.vocabulary.counts import count_of
 
 _SOURCE, _TARGET, _TEACHER, _COUNTS = "source", "target", "teacher", "counts"
+_SHARES = {"labels": 2.0, "donors": 1.0}  # frames in a batch over those of the source: labelled ones of the target
 
 
 class TeacherSettings(MethodSettings):
@@ -58,6 +62,10 @@ class TeacherSettings(MethodSettings):
     negative: Score = Field(0.25, description="score below which it is background; between, ignored")
     weight: float = Field(1.0, ge=0, description="of the target's losses; 0 leaves the statistics alone: the control")
     source_weight: float = Field(1.0, ge=0, description="of the source's losses")
+    labels: bool = Field(False, description="learn from a few labelled target frames too: data.labels")
+    labels_weight: float = Field(1.0, ge=0, description="of the losses of labelled target frames")
+    donors: bool = Field(False, description="learn from simulated road users in target frames too: data.donors")
+    donors_weight: float = Field(1.0, ge=0, description="of the losses of these frames")
     norm: Literal["shared", "per_domain"] = Field(
         "shared", description="one forward of all frames with its statistics, or statistics by domain"
     )
@@ -108,6 +116,9 @@ class MeanTeacher(Adaptation):
     def __init__(self, network: Network, **settings: object) -> None:
         super().__init__()
         self.settings = settings_of(TeacherSettings, "teacher", settings)
+        self._taught = tuple(name for name in _SHARES if getattr(self.settings, name))
+        taught = {name: Stream(share=_SHARES[name]) for name in self._taught}
+        self.streams = {**self.streams, **taught}  # type: ignore[misc]
         self._check(network)
         check_weather(self.settings.strong.weather, network.inputs)
         self.held_out = self.settings.held_out
@@ -140,7 +151,7 @@ class MeanTeacher(Adaptation):
         return {"weights": _TARGET}
 
     def losses(self, batch: Mapping[str, Batch], step: int) -> dict[str, Tensor]:
-        """The losses of the source's labels, and those of the pseudo boxes."""
+        """The losses of the source's labels, those of the pseudo boxes, and those of the target's labels, if any."""
         rng = self.generator(step)
         # 1. Teacher: pseudo-labels of the target's frames as they are
         pseudo_labels = self.pseudo_labels(batch[_TARGET].inputs)
@@ -149,10 +160,16 @@ class MeanTeacher(Adaptation):
         clouds, pseudo_labels = self._in_weather(batch[_TARGET].inputs, pseudo_labels, rng)
         view = strong_view(clouds, changes, self.settings.strong.thinning, rng)
         moved = [pseudo.moved(change) for pseudo, change in zip(pseudo_labels, changes, strict=True)]
-        # 3. Student: source and view, together or with statistics by domain
-        source, target = self._features(batch[_SOURCE].inputs, view)
+        # 3. Student: source and view, together or with statistics by domain; labels and donors are of the target
+        of_target = view
+        for name in self._taught:
+            of_target = of_target + batch[name].inputs
+        source, target = self._features(batch[_SOURCE].inputs, of_target)
+        of_labels: dict[str, Features] = {}
+        for name in reversed(self._taught):
+            target, of_labels[name] = target.split(len(target) - len(batch[name]))
         student, of_source = self.network, network_of(self.modules, self._of_source)
-        # 4. Losses: of the source's labels, and of the pseudo-labels
+        # 4. Losses: of the source's labels, of the pseudo-labels, and of the target's labels
         losses = detection_losses(of_source, source, batch[_SOURCE].targets)
         losses = weighted_losses(losses, "source", self.settings.source_weight)
         if self.settings.weight:
@@ -160,7 +177,11 @@ class MeanTeacher(Adaptation):
             pairs = zip(moved, frames, strict=True)
             targets = [targets_of(student.assigner, pseudo, clouds) for pseudo, clouds in pairs]
             losses |= weighted_losses(detection_losses(student, target, targets), "target", self.settings.weight)
-        self._measure(losses, source, target, batch[_SOURCE].inputs, view, step)
+        for name in self._taught:
+            taught = detection_losses(student, of_labels[name], batch[name].targets)
+            losses |= weighted_losses(taught, name, getattr(self.settings, f"{name}_weight"))
+        features = [source, target, *(of_labels[name] for name in self._taught)]
+        self._measure(losses, features, batch[_SOURCE].inputs, view, step)
         return losses
 
     def _in_weather(
@@ -174,17 +195,17 @@ class MeanTeacher(Adaptation):
         return in_weather(inputs, pseudo_labels, columns, config, rng.spawn(1)[0])
 
     def _measure(
-        self, losses: Mapping[str, Tensor], source: Features, target: Features, inputs: Inputs, view: Inputs, step: int
+        self, losses: Mapping[str, Tensor], features: Sequence[Features], inputs: Inputs, view: Inputs, step: int
     ) -> None:
-        """Keep the norms of both domains' gradients, and variance and rank of their features."""
+        """Keep the norms of each stream's gradients, and variance and rank of both domains' features."""
         if not self.measures(step):
             return
-        both = {
-            name: {part: loss for part, loss in losses.items() if part.startswith(name)} for name in (_SOURCE, _TARGET)
+        by_stream = {
+            name: {part: loss for part, loss in losses.items() if part.startswith(f"{name}_")} for name in self.streams
         }
-        self.note(**gradient_norms({name: total_of(parts) for name, parts in both.items() if parts}, [source, target]))
-        for name, features, clouds in ((_SOURCE, source, inputs), (_TARGET, target, view)):
-            self.note(**{name: shown(features, self.occupied(features, clouds))})
+        self.note(**gradient_norms({name: total_of(parts) for name, parts in by_stream.items() if parts}, features))
+        for name, of_domain, clouds in zip((_SOURCE, _TARGET), features, (inputs, view), strict=False):
+            self.note(**{name: shown(of_domain, self.occupied(of_domain, clouds))})
 
     def reader(self, stream: str) -> Network:
         """Each domain has its statistics, if they are apart."""
@@ -219,9 +240,9 @@ class MeanTeacher(Adaptation):
         total = torch.tensor(float(confident), device=empty.device)
         total = sum_over_processes(total) if process_count() > 1 else total
         empty.copy_((empty + 1) * (0 if total else 1))
-        if int(empty) >= self.settings.patience:
+        if int(empty) >= self.settings.patience and not self._taught:
             raise FarfieldError(
-                f"method teacher: in {int(empty)} steps the teacher found no box with a score of "
+                f"method teacher: in {count_of(int(empty), 'step')} the teacher found no box with a score of "
                 f"{threshold_text(self.settings.positive)} or more in the target's frames, so there is nothing to "
                 "learn there. Look at what the start's weights detect in them; lower positive, or move the target into "
                 "the coordinates that these learnt in."

@@ -6,13 +6,13 @@ scores, those of the radar experiments by weather too, from the results that the
 while it is read.
 """
 
-import json
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 from farfield.detectors.spec import DETECTORS
+from farfield.files.json_text import plain_json
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class WeatherScores:
 def figures() -> dict[str, Any]:
     """The recorded figures as they are stored; empty keys where nothing was recorded."""
     path = files("farfield.detectors") / "weights_data" / "figures.json"
-    stored: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.is_file() else {"detectors": {}}
+    stored: dict[str, Any] = plain_json(path.read_bytes()) if path.is_file() else {"detectors": {}}
     return stored
 
 

@@ -6,17 +6,22 @@ would overflow, or give boxes that no figure could hold. Needs no torch.
 """
 
 import math
+import operator
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, Field, field_validator, model_serializer, model_validator
 
+from farfield.detectors.score_bands import ScoreBands
 from farfield.detectors.spec import DETECTORS
 from farfield.errors import FarfieldError
-from farfield.geometry.boxes import Boxes
+from farfield.files.yaml_text import PlainSettings
+from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
 from farfield.vocabulary.classes import unit_of_sizes
 
 Channels = Annotated[int, Field(ge=1, le=4096)]
@@ -33,17 +38,18 @@ SMALLEST_M = 0.001
 _EXTENTS = ("size_m", "sizes_m", "cell_m", "range_m", "half_width_m")
 
 
+_MAX_ENTRIES = 64  # of a list or a group of settings
+_MAX_BLOCKS, _COARSEST_STRIDE = 8, 1024
 _MAX_VOXELS = 4_000_000_000
 _MAX_PILLARS = 50_000_000
+MAX_IMAGE_NUMBERS = 500_000_000  # of the image that a frame becomes: 2 GB
 
 
-class DetectorConfig(BaseModel, ABC):
+class DetectorConfig(PlainSettings, ABC):
     """Everything that decides the shape of a network and its boxes; each detector adds its own fields.
 
     A subclass gives ``name`` its detector's name as the default.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     old_names: ClassVar[Mapping[str, str]] = {}
     """Today's places of settings that had other ones, dotted."""
@@ -53,6 +59,12 @@ class DetectorConfig(BaseModel, ABC):
     nms_iou: float = Field(0.1, ge=0, le=1, description="boxes that overlap a better one by more are dropped")
     max_boxes: int = Field(500, ge=1, le=100_000, description="boxes kept in a frame")
     far_weight: float = Field(0.0, ge=0, description="extra weight of a box's loss per 100 m of range")
+    full_points: int = Field(
+        0, ge=0, description="boxes with n points, fewer than these, weigh (n / these)^0.5 in the loss; 0: all alike"
+    )
+    score_bands: ScoreBands | None = Field(
+        None, description="scores calibrated by range and points: fitted after the training, not set by hand"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -94,24 +106,68 @@ class DetectorConfig(BaseModel, ABC):
     def reach_m(self) -> float:
         """How far ahead the detector looks, metres."""
 
-    def box_weights(self, boxes: Boxes) -> Float[np.ndarray, " n"]:
-        """Weight of each box in the loss, from its range on the ground, shape (n,)."""
-        return range_weights(boxes, self.far_weight)
+    def box_weights(self, boxes: Boxes, inputs: Mapping[str, np.ndarray] | None = None) -> Float[np.ndarray, " n"]:
+        """Weight of each box in the loss, shape (n,); see :class:`BoxWeights`."""
+        return BoxWeights.of(self)(boxes, inputs or {})
+
+    @model_serializer(mode="wrap")
+    def _serialised(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; late ones only where they are not the default, so that runs are recognised as before."""
+        values = others(self)
+        unset = {name for name in LATE_SETTINGS if name in values and getattr(self, name) == _default(self, name)}
+        return {name: value for name, value in values.items() if name not in unset}
 
 
-def range_weights(boxes: Boxes, far_weight: float) -> Float[np.ndarray, " n"]:
-    """Weight of each box in the loss, shape (n,): 1, and ``far_weight`` more per 100 m of range on the ground."""
-    return 1.0 + far_weight * np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1]) / 100.0
+LATE_SETTINGS = ("full_points", "score_bands")
+"""Settings of every detector that came after weights had been trained without them."""
 
 
-class GridConfig(BaseModel):
+def _default(settings: BaseModel, name: str) -> Any:
+    return type(settings).model_fields[name].get_default(call_default_factory=True)
+
+
+@dataclass(frozen=True)
+class BoxWeights:
+    """How much a box weighs in the loss.
+
+    Args:
+        far_weight: Extra weight per 100 m of range on the ground.
+        full_points: A box with n points, fewer than these, weighs (n / these)^0.5 times as much; 0 counts no points.
+    """
+
+    far_weight: float = 0.0
+    full_points: int = 0
+
+    @classmethod
+    def of(cls, config: DetectorConfig) -> "BoxWeights":
+        """Those of a detector."""
+        return cls(config.far_weight, config.full_points)
+
+    def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> Float[np.ndarray, " n"]:
+        """Weight of each box of a frame, shape (n,).
+
+        Args:
+            boxes: The boxes.
+            inputs: What the network reads of the frame, x, y and z first; points of all inputs count.
+        """
+        weight = 1.0 + self.far_weight * np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1]) / 100.0
+        if self.full_points and len(boxes):
+            clouds = [np.zeros((0, 3), dtype=np.float32), *(cloud[:, :3] for cloud in inputs.values())]
+            count = count_points_in_boxes(np.concatenate(clouds), boxes, margin_m=BOX_MARGIN_M)
+            weight = weight * np.sqrt(np.clip(count, 1, self.full_points) / self.full_points)
+        return weight
+
+
+ALIKE = BoxWeights()
+"""All boxes weigh the same."""
+
+
+class GridConfig(PlainSettings):
     """Where a detector looks, and how finely.
 
     ``range_m`` is the one number to change for another reach: the cell counts, anchors and strides follow. Cell counts
     are rounded up to a multiple of the network's coarsest stride, so the grid may reach a little farther than range_m.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     range_m: float = Field(250.0, gt=0, description="forward reach, x from 0")
     half_width_m: float = Field(50.0, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
@@ -121,6 +177,7 @@ class GridConfig(BaseModel):
 
     @model_validator(mode="after")
     def _fits_memory(self) -> "GridConfig":
+        check_lengths(self)  # before they are divided by
         cells = self.range_m * 2 * self.half_width_m / self.cell_m**2
         if not cells <= _MAX_PILLARS:
             raise ValueError(f"expected at most {_MAX_PILLARS:,} cells, got {cells:,.0f}: take a larger cell_m")
@@ -137,14 +194,12 @@ class GridConfig(BaseModel):
         return -self.shape(multiple)[1] * self.cell_m / 2
 
 
-class VoxelGridConfig(BaseModel):
+class VoxelGridConfig(PlainSettings):
     """Where a voxel detector looks, and how finely.
 
     Cell counts along x and y are rounded up to a multiple of the network's coarsest stride, so the grid may reach a
     little farther than range_m.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     range_m: float = Field(250.0, gt=0, description="forward reach, x from 0")
     half_width_m: float = Field(50.0, gt=0, description="lateral reach, y from -half_width_m to +half_width_m")
@@ -167,6 +222,7 @@ class VoxelGridConfig(BaseModel):
 
     @model_validator(mode="after")
     def _fits(self) -> "VoxelGridConfig":
+        check_lengths(self)  # before they are divided by
         if not min(self.cell_m) > 0:
             raise ValueError(f"expected a voxel size above 0 along x, y and z, got {self.cell_m}")
         if not self.z_max_m > self.z_min_m:
@@ -175,6 +231,9 @@ class VoxelGridConfig(BaseModel):
         cells = volume_m3 / math.prod(self.cell_m)
         if not cells <= _MAX_VOXELS:
             raise ValueError(f"expected at most {_MAX_VOXELS:,} voxels, got {cells:,.0f}: take a larger cell_m")
+        columns = self.range_m * 2 * self.half_width_m / (self.cell_m[0] * self.cell_m[1])
+        if not columns <= _MAX_PILLARS:
+            raise ValueError(f"expected at most {_MAX_PILLARS:,} cells on the ground, got {columns:,.0f}")
         return self
 
     def shape(self, multiple: int) -> tuple[int, int, int]:
@@ -223,8 +282,34 @@ def _rename_key(settings: Any, old: list[str], new: list[str]) -> Any:
     return {(new[0] if name == old[0] else name): value for name, value in settings.items()}
 
 
+def check_blocks(
+    widths: Sequence[int], depths: Sequence[int], strides: Sequence[int], out_stride: int | None = None
+) -> None:
+    """Check the blocks of a backbone over the bird's-eye image.
+
+    Args:
+        widths: Channels of each block.
+        depths: Further convolutions of each block.
+        strides: Stride of each block.
+        out_stride: Stride of its output; None: there is one a block.
+
+    Raises:
+        ValueError: If their numbers differ, they are too many or too coarse, or a block does not fit onto the output.
+    """
+    if not 1 <= len(widths) == len(depths) == len(strides) <= _MAX_BLOCKS:
+        numbers = f"{len(widths)}, {len(depths)} and {len(strides)}"
+        raise ValueError(f"expected 1 to {_MAX_BLOCKS} widths, as many depths and as many strides, got {numbers}")
+    reached = list(accumulate(strides, operator.mul))
+    if max(reached[-1], out_stride or 1) > _COARSEST_STRIDE:
+        raise ValueError(
+            f"expected strides that multiply to at most {_COARSEST_STRIDE}, got {reached[-1]}, {out_stride}"
+        )
+    if out_stride is not None and any(max(out_stride, stride) % min(out_stride, stride) for stride in reached):
+        raise ValueError(f"expected an out_stride that divides, or is a multiple of, {reached}, got {out_stride}")
+
+
 def check_lengths(settings: BaseModel) -> None:
-    """Check every length of settings and of those within them.
+    """Check every length of settings and of those within them, and how many entries lists and groups have.
 
     Raises:
         ValueError: If one is not finite or out of bounds, or a lowest height is not below the highest.
@@ -233,6 +318,8 @@ def check_lengths(settings: BaseModel) -> None:
 
 
 def _check(value: Any, path: str) -> None:
+    if isinstance(value, tuple | list | dict) and len(value) > _MAX_ENTRIES:
+        raise ValueError(f"{path}: expected at most {_MAX_ENTRIES} entries, got {len(value)}")
     if isinstance(value, BaseModel):
         for name in type(value).model_fields:
             _check(getattr(value, name), f"{path}.{name}" if path else name)

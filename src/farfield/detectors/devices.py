@@ -16,8 +16,9 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from farfield.errors import ConfigError, FarfieldError
+from farfield.errors import ConfigError, FarfieldError, FileFormatError
 from farfield.files.atomic import write_text
+from farfield.files.json_text import read_json
 from farfield.frame.provenance import processor
 
 DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
@@ -183,10 +184,10 @@ def kept_times() -> dict[Work, dict[Precision, float]]:
     key = f"{', '.join(machine)}, torch {torch.__version__}"
     cached: dict[str, Any] = {}
     try:
-        cached = json.loads(path.read_text(encoding="utf-8"))
+        cached = read_json(path, max_bytes=1 << 20)
         times = cached[key]
         return {work: {name: float(times[work][name]) for name in ("fp32", "bf16")} for work in ("dense", "rows")}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, FileFormatError, ValueError, KeyError, TypeError):
         pass
     measured = measured_times()
     try:

@@ -25,6 +25,8 @@ class DetectorInfo:
         reference: Name of the sensor in whose coordinates it was trained; None if not known.
         reach_m: How far ahead it looks, metres; None if not known.
         provenance: The record of its training, as its weights file holds it; empty if not known.
+        family: What it learnt from, such as ``"simulation with open donors"``; empty if not known.
+        places: Names of the real places whose sweeps it learnt from.
         precision: Number type of its convolutions, such as ``"bf16"``; empty for a function.
         score_threshold: Boxes of a lower score are not given; None if not known.
         nms_iou: Boxes that overlap a better one by more are not given; None if not known.
@@ -40,10 +42,39 @@ class DetectorInfo:
     reference: str | None = None
     reach_m: float | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    family: str = ""
+    places: tuple[str, ...] = ()
     precision: str = ""
     score_threshold: float | None = None
     nms_iou: float | None = None
     max_boxes: int | None = None
+
+    @property
+    def open_places(self) -> tuple[str, ...] | None:
+        """Places of Open Sweeps that it learnt from, as its weights name them; None where they do not say."""
+        return open_places(self.provenance)
+
+
+def open_places(provenance: Mapping[str, Any]) -> tuple[str, ...] | None:
+    """Places of Open Sweeps that weights learnt from, () for none; None where it is not known.
+
+    Args:
+        provenance: The record of the training. Where sweeps or backgrounds of a place served, ``open_sweeps`` lists
+            the places' names: in the record itself, in one of its ``streams``, in ``start`` or in ``adapted``, where
+            None says that it is not known. Weights of simulated frames alone saw none.
+    """
+    streams = provenance.get("streams") or {}
+    earlier = [provenance[name] for name in ("start", "adapted") if provenance.get(name)]
+    lists = [record.get("open_sweeps") for record in (provenance, *streams.values(), *earlier)]
+    if names := {str(name) for places in lists for name in places or ()}:
+        return tuple(sorted(names))
+    if provenance.get("open_sweeps") is not None:
+        return ()
+    data = (provenance.get("experiment") or {}).get("data") or {}
+    by_stream = bool(data) and all(isinstance(group, Mapping) for group in data.values()) and "simulate" not in data
+    groups = list(data.values()) if by_stream else [data]
+    none_earlier = all(record.get("open_sweeps") == [] for record in earlier)
+    return () if none_earlier and all(group.get("simulate") for group in groups) else None
 
 
 @runtime_checkable

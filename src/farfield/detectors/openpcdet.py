@@ -5,8 +5,6 @@ other settings are given, since a checkpoint does not hold them. Its grids run o
 kernels are turned. Every key of a checkpoint is used, ignored for a stated reason, or an error.
 """
 
-import pickle
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +19,8 @@ from torch import Tensor
 from farfield.detectors.network import Network, build_detector
 from farfield.detectors.soundness import unsound
 from farfield.detectors.spec import DETECTORS
-from farfield.errors import ConfigError, FarfieldError, FileFormatError, fault_of
+from farfield.detectors.torch_files import load_torch
+from farfield.errors import ConfigError, FileFormatError, fault_of
 
 Kind = Literal["pointpillars", "second"]
 
@@ -67,6 +66,7 @@ _NOTES = (
 )
 
 
+_SHOWN = 40  # faults of a checkpoint that a message lists
 _NORM = ("weight", "bias", "running_mean", "running_var")
 _MIDDLE = ("conv_input", "conv1.0", *(f"conv{stage}.{layer}" for stage in (2, 3, 4) for layer in range(3)), "conv_out")
 
@@ -153,7 +153,8 @@ def import_openpcdet(
     ]
     if problems:
         hint = "" if missing or allow_unknown else "\nUnknown keys can be left out (--allow-unknown)."
-        raise ConfigError(f"{path}: not the {kind} that the settings describe:\n" + "\n".join(problems) + hint)
+        shown = problems[:_SHOWN] + [f"  and {len(problems) - _SHOWN} more"] * (len(problems) > _SHOWN)
+        raise ConfigError(f"{path}: not the {kind} that the settings describe:\n" + "\n".join(shown) + hint)
     counters = {name: torch.tensor(0) for name in expected if name.endswith("num_batches_tracked")}
     network.load_state_dict({**ours, **counters}, assign=True)
     mapped = {key: name for key, name in used.items() if key in state}
@@ -166,20 +167,11 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
     Raises:
         FileFormatError: If the file is no checkpoint, or holds more than tensors and plain values.
     """
-    if not path.is_file():
-        raise FarfieldError(f"{path}: expected a checkpoint file, found nothing.")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of pickle protocols other than the usual one
-            content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, OSError, IndexError) as error:
-        raise FileFormatError(
-            path,
-            where="pickle",
-            expected="a PyTorch checkpoint of tensors and plain values",
-            got=str(error).splitlines()[0][:200] if str(error) else type(error).__name__,
-            fix="Save its 'model_state' alone with torch.save where it was made.",
-        ) from error
+    content = load_torch(
+        path,
+        expected="a PyTorch checkpoint of tensors and plain values",
+        fix="Save its 'model_state' alone with torch.save where it was made.",
+    )
     state = content.get("model_state", content) if isinstance(content, dict) else content
     strange = [] if not isinstance(state, dict) else [str(k) for k, v in state.items() if not isinstance(v, Tensor)]
     if not isinstance(state, dict) or not state or strange:
@@ -346,10 +338,12 @@ def _shape(state: Mapping[str, Tensor], key: str, axes: int) -> tuple[int, ...]:
         raise ConfigError(f"Expected the key {key} in the checkpoint; it is missing.")
     if state[key].ndim != axes:
         raise ConfigError(f"{key}: expected {axes} axes, got shape {tuple(state[key].shape)}.")
+    if 0 in state[key].shape:
+        raise ConfigError(f"{key}: expected numbers, got none, of shape {tuple(state[key].shape)}.")
     return tuple(state[key].shape)
 
 
 def _highest(state: Mapping[str, Tensor], prefix: str) -> int:
-    """Highest layer number that follows a prefix."""
+    """Highest layer number that follows a prefix; 0 where none does."""
     heads = (key[len(prefix) :].split(".")[0] for key in state if key.startswith(prefix))
-    return max(int(head) for head in heads if head.isdecimal())
+    return max((int(head) for head in heads if head.isascii() and head.isdecimal() and len(head) < 6), default=0)

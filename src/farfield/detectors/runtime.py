@@ -26,7 +26,7 @@ from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError, plain
 from farfield.frame import Cloud, Frame
 from farfield.frame.cloud import RADAR_COLUMNS
-from farfield.geometry.boxes import Boxes
+from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
 from farfield.registry import display_html
 
 # Which of its boxes a detector gives, by score, overlap, number and class: chosen as it is loaded, not trained.
@@ -87,12 +87,11 @@ def reconfigured(network: Network, changes: Mapping[str, Any]) -> Network:
 
     Args:
         network: Before anything in it is folded.
-        changes: Fields of its configuration; those that are None stay.
+        changes: Fields of its configuration.
 
     Raises:
         ConfigError: If a value is not possible.
     """
-    changes = {name: value for name, value in changes.items() if value is not None}
     if not changes:
         return network
     try:
@@ -129,6 +128,8 @@ _TOO_LARGE = (
     "To detect in less: fewer frames at a time, precision bf16 or fp16, a detector of a shorter range or with larger "
     "cells, or device cpu."
 )
+_BEFORE_CALIBRATION = 5000
+"""Boxes of a frame whose scores are calibrated: another order than the network's decides which are given."""
 _KRADAR_LIDAR = "os2-64"
 """In whose coordinates K-Radar's frames stand unless they were moved into the radar's."""
 
@@ -149,6 +150,7 @@ class Detector:
         max_boxes: Boxes given in a frame.
         classes: Classes to give, or for each of them the name to give it; all unless given. Boxes of the others still
             suppress those that they overlap.
+        calibrated: Whether scores are calibrated, where the weights hold how.
         name: What to call it.
 
     Raises:
@@ -169,6 +171,7 @@ class Detector:
         nms_iou: float | None = None,
         max_boxes: int | None = None,
         classes: Classes | None = None,
+        calibrated: bool = True,
         name: str = "",
     ) -> None:
         if precision not in ("auto", *DTYPES):
@@ -181,9 +184,17 @@ class Detector:
         keep_freed_memory()
         most = None if max_boxes is None or classes is None else max(max_boxes, network.config.max_boxes)
         changes = {"score_threshold": score_threshold, "nms_iou": nms_iou, "max_boxes": most or max_boxes}
+        changes = {name: value for name, value in changes.items() if value is not None}
+        if not calibrated and network.config.score_bands is not None:
+            changes["score_bands"] = None
         network = reconfigured(network, changes)
+        self._config, bands = network.config, network.config.score_bands
+        if bands is not None:  # both limits count calibrated scores
+            lowest = bands.least_score(self._config.score_threshold)
+            most_decoded = max(self._config.max_boxes, _BEFORE_CALIBRATION)
+            network = reconfigured(network, {"score_threshold": lowest, "max_boxes": most_decoded})
         own = tuple(network.config.class_names)
-        self.chosen = None if classes is None else ChosenClasses.of(classes, own, max_boxes or network.config.max_boxes)
+        self.chosen = None if classes is None else ChosenClasses.of(classes, own, max_boxes or self._config.max_boxes)
         with fitting(_TOO_LARGE):
             network = fold_batch_norm(network)
             network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch lacks it
@@ -206,8 +217,8 @@ class Detector:
 
     @property
     def config(self) -> Any:
-        """The network's settings."""
-        return self.network.config
+        """The network's settings; of one whose scores are calibrated, limits are those of calibrated scores."""
+        return self._config
 
     @config.setter
     def config(self, config: Any) -> None:
@@ -251,6 +262,8 @@ class Detector:
             reference=self.reference,
             reach_m=self.reach_m,
             provenance=self.provenance,
+            family=str(self.provenance.get("family", "")),
+            places=self.places,
             precision=self.precision,
             score_threshold=self.config.score_threshold,
             nms_iou=self.config.nms_iou,
@@ -293,6 +306,12 @@ class Detector:
         if stated is None and _KRADAR_LIDAR in self.learnt_clouds:
             return _KRADAR_LIDAR
         return None if stated is None else str(stated)
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Names of the real places whose sweeps it learnt from, each once."""
+        donors = [stream.get("donors") or {} for stream in self.provenance.get("streams", {}).values()]
+        return tuple(dict.fromkeys(str(name) for lent in donors for name in lent.get("places", ())))
 
     @property
     def _trained_on(self) -> dict[str, Any]:
@@ -339,7 +358,20 @@ class Detector:
         # One forward pass of all frames; then the classes that were chosen.
         with fitting(_TOO_LARGE):
             detected = self.network.predict(Inputs(named).on(self.device))
+        if self.config.score_bands is not None:
+            points = [torch.cat([named[name][row][:, :3] for name in named]).numpy() for row in range(len(frames))]
+            detected = [self._calibrated(boxes, cloud) for boxes, cloud in zip(detected, points, strict=True)]
         return detected if self.chosen is None else [self.chosen(boxes) for boxes in detected]
+
+    def _calibrated(self, boxes: Boxes, points_m: np.ndarray) -> Boxes:
+        """The boxes with scores that count their range and points, as many and as good as are given, best first."""
+        if boxes.score is None or not len(boxes):
+            return boxes
+        count = count_points_in_boxes(points_m, boxes, margin_m=BOX_MARGIN_M)
+        score = self.config.score_bands(boxes.score, boxes.range_m, count)
+        order = np.argsort(-score, kind="stable")
+        rows = order[score[order] >= self.config.score_threshold][: self.config.max_boxes]
+        return boxes.replace(score=score)[rows]
 
     def _clouds(self, frame: Frame | Cloud) -> dict[str, Cloud]:
         """The cloud of each of the network's inputs."""

@@ -116,7 +116,9 @@ def mean_voxels(
     points, count = points[rows], count[:, None].to(points.dtype)
     centre = voxel_centres_m(keys, grid, multiple).to(points.dtype)
     values = torch.cat([points[:, :3] - centre[member], points[:, features_of(columns)]], 1)
-    mean = values.new_zeros(len(keys), values.shape[1]).index_add(0, member, values) / count
+    # Sums of float32 numbers near one another are exact in float64: then the order of the points does not matter.
+    exact = values.double()
+    mean = (exact.new_zeros(len(keys), values.shape[1]).index_add(0, member, exact) / count).to(values.dtype)
     offset, rest = mean[:, :3], mean[:, 3:]
     position = centre + offset
     if published:

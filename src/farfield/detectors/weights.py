@@ -6,12 +6,13 @@ what they hold is checked as far as numbers and shapes tell, and a warning says 
 
 import json
 import warnings
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Discriminator, Tag, ValidationError
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
@@ -21,10 +22,13 @@ from farfield.detectors.soundness import unlike, unsound
 from farfield.detectors.spec import DETECTORS
 from farfield.errors import FarfieldError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_bytes
+from farfield.files.json_text import plain_json
+from farfield.files.limits import MAX_WEIGHTS_BYTES
 from farfield.files.safetensors import KEY, check_digest, metadata_of, with_digest
 
-_MAX_BYTES = 1 << 32
 _MAX_METADATA_BYTES = 32_000_000  # a digest of each frame that was learnt from is 13 bytes
+_MOST_ODD = 1000  # places of a provenance that are left out
+_RECORDS = ("model_type", "model_attributes_type", "dict_type", "missing")  # pydantic's names for what is no record
 _KEYS = {"format", "config", "provenance"}
 
 
@@ -44,7 +48,11 @@ def save_weights(
         FarfieldError: If a number is not finite, or none that a training leaves, or if the provenance could not be read
             again; nothing is written.
     """
-    _provenance_of(path, json.dumps(provenance))
+    try:
+        _Provenance.model_validate(plain_json(json.dumps(provenance)))
+    except (ValueError, RecursionError) as error:
+        expected = "the record of a training, as JSON takes it"
+        raise FileFormatError(path, where="provenance", expected=expected, got=plain(error)[:300]) from error
     metadata = {
         "format": "farfield-detector-1",
         "config": config.model_dump_json(),
@@ -73,7 +81,7 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
     """
     if not path.is_file():
         raise FarfieldError(f"{path}: expected a weights file, found nothing. Train one with: farfield train")
-    data = read_bytes(path, max_bytes=_MAX_BYTES)
+    data = read_bytes(path, max_bytes=MAX_WEIGHTS_BYTES)
     try:
         tensors, metadata = load(data), metadata_of(path, data)
     except (SafetensorError, ValueError, TypeError, KeyError, AssertionError, RuntimeError) as error:
@@ -90,7 +98,7 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
     check_digest(path, data)
     del data  # the tensors are copies
     try:
-        described, provenance = json.loads(metadata["config"]), _provenance_of(path, metadata["provenance"])
+        described, provenance = plain_json(metadata["config"]), _provenance_of(path, metadata["provenance"])
         name = str(described["name"])
         if name not in DETECTORS:
             raise FileFormatError(
@@ -113,7 +121,7 @@ def load_weights(path: Path) -> tuple[Network, dict[str, Any]]:
         network.load_state_dict(tensors, assign=True)
     except FileFormatError:
         raise
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, RuntimeError, FarfieldError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, FarfieldError) as error:
         raise FileFormatError(
             path, where="configuration and tensors", expected="those of one detector", got=plain(error)[:300]
         ) from error
@@ -132,11 +140,18 @@ class _Record(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True)
 
 
+class _Donors(_Record):
+    family: str = ""
+    places: list[str] = []
+
+
 class _Stream(_Record):
     data_fingerprint: str | None = None
     frames: int | None = None
     recipe: dict[str, Any] | None = None
     frame_digests: str | None = None
+    open_sweeps: list[str] | None = None
+    donors: _Donors | None = None
 
 
 class _Simulated(_Record):
@@ -151,9 +166,17 @@ class _Data(_Record):
     options: dict[str, Any] = {}
 
 
+def _data_tag(data: Any) -> str:
+    """Whether the settings are those of one stream or of several by name."""
+    several = isinstance(data, dict) and all(isinstance(group, dict) for group in data.values())
+    return "<streams>" if several else "<one>"
+
+
 class _Experiment(_Record):
     name: str = ""
-    data: _Data | dict[str, _Data] = {}
+    data: Annotated[
+        Annotated[_Data, Tag("<one>")] | Annotated[dict[str, _Data], Tag("<streams>")], Discriminator(_data_tag)
+    ] = {}
     training: dict[str, Any] = {}
     method: dict[str, Any] = {}
 
@@ -161,10 +184,12 @@ class _Experiment(_Record):
 class _Start(_Record):
     weights: str = ""
     frame_digests: str | None = None
+    open_sweeps: list[str] | None = None
 
 
 class _Adapted(_Record):
     start_frame_digests: str | None = None
+    open_sweeps: list[str] | None = None
 
 
 class _Provenance(_Stream):
@@ -172,18 +197,54 @@ class _Provenance(_Stream):
     streams: dict[str, _Stream] = {}
     start: _Start = _Start()
     adapted: _Adapted = _Adapted()
+    held_out: _Stream = _Stream()
+    validation: dict[str, Any] = {}
     environment: dict[str, Any] = {}
     stream: str = ""
+    family: str = ""
 
 
 def _provenance_of(path: Path, text: str) -> dict[str, Any]:
+    """The record of a training as far as it has the form of ours; a warning names what is left out of others'."""
     try:
-        provenance: dict[str, Any] = json.loads(text)
-        _Provenance.model_validate(provenance)
-    except (ValueError, RecursionError) as error:
+        provenance: dict[str, Any] = plain_json(text)
+        odd = list(_left_out(provenance))
+    except ValueError as error:
         expected = "the record of a training, as JSON"
         raise FileFormatError(path, where="provenance", expected=expected, got=plain(error)[:300]) from error
-    return provenance
+    if odd:
+        shown = "; ".join(odd[:5]) + (f"; and {len(odd) - 5} more" if len(odd) > 5 else "")
+        warnings.warn(
+            f"{path}: the provenance is read but for what has another form than ours, {shown}. What these weights "
+            "learnt from is not known as far as it stands there",
+            stacklevel=3,
+        )
+    return provenance if isinstance(provenance, dict) else {}
+
+
+def _left_out(provenance: Any) -> Iterator[str]:
+    """Take out of a provenance what is not understood, place by place; records that were none are empty afterwards."""
+    for _ in range(_MOST_ODD):
+        try:
+            _Provenance.model_validate(provenance)
+            return
+        except ValidationError as error:
+            odd = error.errors(include_url=False, include_context=False)[0]
+        if not isinstance(provenance, dict):
+            yield f"provenance: {odd['msg']}"
+            return
+        parent, names = provenance, list(odd["loc"][:1])
+        for name in odd["loc"][1:]:  # tags of pydantic's stand among the keys
+            if isinstance(parent[names[-1]], dict) and name in parent[names[-1]]:
+                parent = parent[names[-1]]
+                names.append(name)
+        is_record = odd["type"] in _RECORDS
+        if is_record and parent[names[-1]] != {}:
+            parent[names[-1]] = {}
+        else:
+            del parent[names[-1]]
+        yield f"{'.'.join(map(str, names))}: {odd['msg']}"
+    raise ValueError(f"more than {_MOST_ODD} entries of another form")
 
 
 def bundled_weights() -> dict[str, Path]:

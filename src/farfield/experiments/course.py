@@ -1,6 +1,5 @@
 """The page of a run: from its folder, finished or not."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from farfield.adaptation.failure_modes import diagnose_log
 from farfield.errors import FileFormatError, plain
 from farfield.experiments.plan import LOG_NAME, logged, taken_out_text
 from farfield.experiments.schema import Experiment, load_experiment
+from farfield.files.json_text import read_json
 from farfield.frame.provenance import environment
 from farfield.pages.training_pages import CoursePage, write_course
 
@@ -48,7 +48,7 @@ def _held_out(folder: Path) -> dict[str, str]:
     """Which frames were validated on, and how many were taken out of the training for that."""
     path = folder / "provenance.json"
     try:
-        record = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        record = read_json(path) if path.is_file() else {}
         return {"validation": taken_out_text(record)} if record.get("held_out") else {}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         fix = "Run the training's command again: it writes the file anew."

@@ -9,7 +9,12 @@ from farfield.datasets.contents import common_frames, frame_digests
 from farfield.datasets.maps import Sweeps
 from farfield.errors import DatasetError
 from farfield.experiments.schema import DataConfig, Experiment
+from farfield.simulation.donor_frames import DonorFrames
 from farfield.training.method import Stream
+from farfield.vocabulary.counts import count_of
+
+OPEN_SWEEPS = "open-sweeps"
+"""In the place of a folder: the real sweeps that ship with the package."""
 
 
 def open_frames(config: DataConfig, stream: Stream, experiment: Experiment) -> Dataset:
@@ -18,7 +23,7 @@ def open_frames(config: DataConfig, stream: Stream, experiment: Experiment) -> D
     Raises:
         DatasetError: If there is no folder, a cloud is absent, or frames of a labelled stream have no annotation.
     """
-    if not config.path.is_dir():
+    if not config.path.is_dir() and str(config.path) != OPEN_SWEEPS:
         raise DatasetError(
             f"{experiment.name}: expected its data in {config.path}, found no folder there. Name where they are: "
             f"farfield train {experiment.name} -o data.path=FOLDER"
@@ -31,6 +36,8 @@ def open_frames(config: DataConfig, stream: Stream, experiment: Experiment) -> D
     missing = [name for name in clouds if name not in data[0].clouds]
     if missing:
         raise DatasetError(f"{data.root}: expected the clouds {missing}; its frames hold {list(data[0].clouds)}.")
+    if config.donors is not None:
+        return DonorFrames(data, config.donors, clouds[0])
     return annotated_frames(data, experiment.training.unannotated) if stream.labelled else data
 
 
@@ -51,7 +58,8 @@ def part_of(data: Dataset, part: tuple[float, float], draw: int = 0) -> Dataset:
     chosen = set(names[first:last])
     if not chosen:
         raise DatasetError(
-            f"{data.root}: expected at least one of its {len(names)} sequences in the part {part[0]:g} to {part[1]:g}; "
+            f"{data.root}: expected at least one of its {count_of(len(names), 'sequence')} "
+            f"in the part {part[0]:g} to {part[1]:g}; "
             "got none. Take a larger part."
         )
     return data.select([index for index, (sequence, _) in enumerate(data.keys) if sequence in chosen])
@@ -71,7 +79,8 @@ def annotated_frames(data: Dataset, unannotated: str) -> Dataset:
     lacking = len(data) - len(annotated)
     if lacking and unannotated == "refuse":
         raise DatasetError(
-            f"{data.root}: {lacking} of {len(data)} frames have no annotation and would train as empty ones. "
+            f"{data.root}: {lacking} of {count_of(len(data), 'frame')} have "
+            "no annotation and would train as empty ones. "
             "Set training.unannotated=skip to leave them out, or name a split or folder of annotated ones."
         )
     if not annotated:
@@ -104,7 +113,9 @@ def held_out(data: Dataset, count: int) -> tuple[Dataset, Dataset | None]:
         held = list(range(len(data)))[-count:]
     trained = [index for index in range(len(data)) if index not in set(held)]
     if not trained:
-        raise DatasetError(f"{data.root}: expected more than {count} frames, to hold so many out; got {len(data)}.")
+        raise DatasetError(
+            f"{data.root}: expected more than {count_of(count, 'frame')}, to hold so many out; got {len(data)}."
+        )
     return data.select(trained), data.select([held[row] for row in spread(len(held), count)])
 
 

@@ -1,6 +1,6 @@
 """One experiment is one YAML file: data, detector, augmentation, training. Unknown keys are errors."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
@@ -17,13 +17,17 @@ from pydantic import (
     ValidationError,
     create_model,
     field_validator,
+    model_serializer,
+    model_validator,
 )
 
 from farfield.detectors import DETECTORS
 from farfield.detectors.config import DetectorConfig, current_key, renamed
 from farfield.errors import ConfigError, FarfieldError, fault_of, plain
 from farfield.experiments.catalogue import find
-from farfield.files.yaml_text import plain_yaml
+from farfield.files.atomic import read_bytes
+from farfield.files.yaml_text import MAX_BYTES, PlainSettings, plain_yaml
+from farfield.simulation.donor_frames import DonorConfig
 from farfield.simulation.recording import SimulationConfig
 from farfield.training.config import AugmentationConfig, TrainingConfig
 
@@ -31,10 +35,8 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 
-class DataConfig(BaseModel):
+class DataConfig(PlainSettings):
     """What to train on."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     path: Path = Field(description="the data set's folder")
     split: str | None = Field(
@@ -53,6 +55,20 @@ class DataConfig(BaseModel):
     aliases: dict[str, str] = Field(default_factory=dict, description="classes renamed before training")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the data set's reader")
     simulate: SimulationConfig | None = None
+    donors: DonorConfig | None = Field(
+        None, description="the sweeps lend their background to simulated road users; their own boxes are taken out"
+    )
+
+    @model_serializer(mode="wrap")
+    def _serialised(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """All settings; donors only where there are some, so that trainings without are recognised as before."""
+        return {name: value for name, value in others(self).items() if name != "donors" or value is not None}
+
+    @model_validator(mode="after")
+    def _one_cloud(self) -> "DataConfig":
+        if self.donors is not None and (not isinstance(self.clouds, tuple) or len(self.clouds) != 1):
+            raise ValueError(f"donors: expected one cloud, such as clouds: [lidar]; got {self.clouds}")
+        return self
 
     @field_validator("part")
     @classmethod
@@ -87,14 +103,12 @@ Data = Annotated[
 ]
 
 
-class Experiment(BaseModel):
+class Experiment(PlainSettings):
     """Everything that decides the outcome of a training.
 
     ``data`` is what a method with one stream of samples learns from; a method with several has one such group for each,
     by their names.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="what the run and its folder are called")
     data: Data
@@ -152,10 +166,10 @@ def _extended(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 def _tree(path: Path) -> dict[str, Any]:
     try:
-        tree = plain_yaml(path.read_text(encoding="utf-8"))
+        tree = plain_yaml(read_bytes(path, max_bytes=MAX_BYTES))
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: expected an experiment's YAML file, found nothing.") from error
-    except yaml.YAMLError as error:
+    except (OSError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: expected YAML, found {plain(error)}.") from error
     if not isinstance(tree, dict):
         raise ConfigError(

@@ -12,6 +12,7 @@ from farfield.errors import ConfigError
 from farfield.evaluation import detect
 from farfield.metrics import Bootstrap
 from farfield.metrics.detections import Detections
+from farfield.vocabulary.counts import count_of
 
 _NO_INTERVALS = Bootstrap(replicates=0)
 
@@ -49,7 +50,8 @@ class Validation:
         present = {self.aliases.get(name, name) for name in labels}
         if not present & {*classes}:
             raise ConfigError(
-                f"training.validation: none of the {len(self.frames)} frames has a box of {', '.join(classes)}; they "
+                f"training.validation: none of the {count_of(len(self.frames), 'frame')} "
+                f"has a box of {', '.join(classes)}; they "
                 f"hold {', '.join(sorted(present)) or 'no boxes'}. Take more frames or another split, or name the "
                 "classes in data.aliases."
             )

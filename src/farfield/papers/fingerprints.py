@@ -11,6 +11,7 @@ from typing import Any
 
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.json_text import plain_json
 from farfield.papers.jobs import code_digest
 from farfield.papers.locations import DataLocation, fingerprints_of
 
@@ -40,7 +41,7 @@ def learnt_fingerprints(folder: Path, locations: Mapping[str, DataLocation], nam
         of_set = noted.get(location.path.name, {})
         if location.simulated is not None and of_set.get("simulator") == code_digest(_ROOMS):
             fingerprints[name] = str(of_set["fingerprint"])
-        elif location.path.exists():
+        elif location.has_frames:
             fingerprints |= fingerprints_of({name: location})
     return fingerprints
 
@@ -60,13 +61,13 @@ def note_fingerprints(folder: Path, locations: Mapping[str, DataLocation], finge
     }
     tree = {**_read(folder / LEARNT), **entries}
     if entries and tree != _read(folder / LEARNT):
-        write_text(folder / LEARNT, json.dumps(tree, indent=1) + "\n")
+        write_text(folder / LEARNT, json.dumps(tree, indent=1, sort_keys=True) + "\n")
 
 
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        return dict(json.loads(read_bytes(path, max_bytes=_MAX_BYTES)))
+        return dict(plain_json(read_bytes(path, max_bytes=_MAX_BYTES)))
     except ValueError as error:
         raise FileFormatError(path, where="the file", expected="fingerprints by set", got=plain(error)) from None

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field, model_serializer, model_validator
 
 from farfield.papers.claims.schema import BUDGETS, Budget, DeclaredModel, declared_path, read_declared
-from farfield.vocabulary.conditions import Side
+from farfield.vocabulary.conditions import Side, World
 
 _FOLDER = Path(__file__).resolve().parent
 LEAST_STEPS = 200
@@ -29,11 +29,13 @@ class SimulatedSet(DeclaredModel):
     weather: str | None = None
     stride_s: float | None = Field(None, gt=0, le=1)
     traffic: Side | None = Field(None, description="on which side it keeps; the preset's own if left out")
+    world: World | None = Field(None, description="what stands beside and on the roads; the preset's own if left out")
 
     @model_serializer(mode="wrap")
     def _without_default_side(self, serialize: Callable[[Any], Tree]) -> Tree:
-        """All settings; the side of the traffic only where it is set, so that hashes of older sets stay."""
-        return {name: value for name, value in serialize(self).items() if name != "traffic" or value is not None}
+        """All settings; side and world only where they are set, so that hashes of older sets stay."""
+        late = ("traffic", "world")
+        return {name: value for name, value in serialize(self).items() if name not in late or value is not None}
 
 
 class RealSet(DeclaredModel):

@@ -10,6 +10,7 @@ from typing import Any
 from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
 from farfield.files.sizes import sized
+from farfield.frame.provenance import SIMULATION_JOURNAL
 from farfield.jobs.runs import Progress
 from farfield.papers.grid import ExperimentGrid, SimulatedSet
 from farfield.simulation.recording import RecordingSummary, record
@@ -35,6 +36,14 @@ class DataLocation:
     simulated: SimulatedSet | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     time: str | None = None
+
+    @property
+    def has_frames(self) -> bool:
+        """Whether some of its frames are there; a simulation that was killed at its start leaves a folder without."""
+        if self.simulated is None:
+            return self.path.exists()
+        journal = self.path / SIMULATION_JOURNAL
+        return journal.is_file() and journal.stat().st_size > 0
 
     def open(self, **options: Any) -> Dataset:
         """Its frames; options of the reader besides its own."""
@@ -142,6 +151,7 @@ def simulate(simulated: SimulatedSet, path: Path, **options: Any) -> RecordingSu
         seed=simulated.seed,
         stride_s=simulated.stride_s,
         traffic=simulated.traffic,
+        world=simulated.world,
         cache=RIGS[find_preset(simulated.preset).rig].caches,
         **options,
     )

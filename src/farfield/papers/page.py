@@ -16,6 +16,7 @@ from farfield.files.atomic import write_text
 from farfield.pages.template import PageImage, render_template
 from farfield.papers.scenarios import NOTHING, scenario_tables
 from farfield.papers.sheets import SheetGroup
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.patterns import PATTERNS
 
 MEMORY = "memory_mb"
@@ -204,14 +205,14 @@ def _facts(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[tuple[
     for name, data in summary["sets"].items():
         simulated, source = data["simulated"], "real"
         if simulated:
-            frames = f"{simulated['sequences']} x {simulated['frames']} frames"
+            frames = f"{simulated['sequences']} x {count_of(simulated['frames'], 'frame')}"
             source = f"{frames} of {simulated['preset']}, seed {simulated['seed']}"
         sets.append(f"{name}: {source} ({data['fingerprint'][:12]})")
     groups = []
     for group in summary["trained_on"]:
         device = group["device"] or "a device that its weights do not name"
         machine = ", ".join(word for word in (device, group["precision"], f"torch {group['torch']}") if word)
-        runs = f"{group['runs']} run{'' if group['runs'] == 1 else 's'}"
+        runs = count_of(group["runs"], "run")
         groups.append(f"{runs}: {machine}, commit {group['commit']}")
     here, planned, options = summary["environment"], timing["planned"], timing.get("options", {})
     cost = f"{planned['core_minutes']:.0f} core minutes" if planned["core_minutes"] else "all trainings were there"
@@ -220,10 +221,10 @@ def _facts(summary: Mapping[str, Any], timing: Mapping[str, Any]) -> list[tuple[
     return [
         ("budget", f"{summary['budget']}: {summary['words']}"),
         ("seeds", str(summary["seeds"])),
-        ("steps", f"{steps}; {summary['batch']} frames a step of one pattern"),
+        ("steps", f"{steps}; {count_of(summary['batch'], 'frame')} a step of one pattern"),
         ("data", "; ".join(sets)),
         ("claims", f"declared before the runs, SHA-256 {summary['claims_sha256']}"),
-        ("planned", f"{cost}, {planned['workers']} workers{f'; asked for: {flags}' if flags else ''}"),
+        ("planned", f"{cost}, {count_of(planned['workers'], 'worker')}{f'; asked for: {flags}' if flags else ''}"),
         ("trained on", "; ".join(groups) or NOTHING),
         ("commit", str(here["commit"])),
         ("versions", ", ".join(f"{name} {version}" for name, version in here["versions"].items())),
@@ -264,7 +265,8 @@ def _learning(curves: Sequence[Mapping[str, Any]]) -> list[PageImage]:
         PageImage(
             figure_uri(validation_curves(named)),
             "Score on held-out roads over the steps of each training, a panel a row of the table and a line a seed",
-            f"nuScenes' mean AP over classes on {curves[0]['frames']} frames of roads that were held out of the "
+            f"nuScenes' mean AP over classes on {count_of(curves[0]['frames'], 'frame')} "
+            "of roads that were held out of the "
             "training; the frozen split that decides has no part in it. Shaded: the last third, over which the "
             "gain is taken.",
             heading="Scores while they trained",

@@ -30,6 +30,7 @@ from farfield.papers.jobs import TrainingJob
 from farfield.papers.locations import DataLocation, simulate
 from farfield.papers.running import quiet
 from farfield.training.report import TrainingReport
+from farfield.vocabulary.counts import count_of
 
 STEPS = 20
 """Steps of each trial."""
@@ -235,7 +236,8 @@ def fit_steps(
             break
     parts = f"simulating {cost.simulating:.0f}, training {cost.training:.0f}, scoring {cost.scoring:.0f}"
     raise ConfigError(
-        f"minutes: expected at least {cost.core_minutes:.0f} core minutes, which {len(jobs)} runs take on this machine "
+        f"minutes: expected at least {cost.core_minutes:.0f} core minutes, "
+        f"which {count_of(len(jobs), 'run')} take on this machine "
         f"with the fewest steps, {settings.least_steps} ({parts}); got {core_minutes:.0f}. Runs with fewer steps say "
         "nothing of a method. Give more --minutes, more --workers or another --budget."
     )
@@ -267,13 +269,14 @@ def described(outline: GridPlan) -> list[str]:
     steps = ", ".join(f"{network} {steps}" for network, steps in outline.steps.items())
     lowered = f" ({outline.steps_share:.0%} of those declared)" if outline.steps_share < 1 else ""
     lines = [
-        f"budget {outline.budget}: {outline.rows} runs x {outline.seeds} seeds, {outline.jobs} trainings; "
+        f"budget {outline.budget}: {count_of(outline.rows, 'run')} x "
+        f"{count_of(outline.seeds, 'seed')}, {count_of(outline.jobs, 'training')}; "
         f"steps: {steps}{lowered}",
         "cost: not measured, for all trainings are done"
         if not cost.core_minutes
         else f"cost on this machine: {cost.core_minutes:.0f} core minutes (simulating {cost.simulating:.0f}, training "
-        f"{cost.training:.0f}, scoring {cost.scoring:.0f}) = {outline.minutes:.0f} minutes with {outline.workers} "
-        f"worker{'' if outline.workers == 1 else 's'}",
+        f"{cost.training:.0f}, scoring {cost.scoring:.0f}) = {outline.minutes:.0f} minutes with "
+        f"{count_of(outline.workers, 'worker')}",
     ]
     by_claim: dict[str, list[str]] = {}
     for estimate in outline.outlooks:
@@ -426,7 +429,7 @@ def measure(
     """
     kinds = {job.kind: job for job in reversed(jobs)}
     if report is not None and kinds:
-        report(f"measuring {steps} steps of each kind of run: {len(kinds)}")
+        report(f"measuring {count_of(steps, 'step')} of each kind of run: {len(kinds)}")
     units = [Unit(kind, parameters=job) for kind, job in sorted(kinds.items())]
     results = values(_SpeedTrial(folder, steps, batch_share, patience_s(len(units)), frames), units, options)
     return {unit.name: result.value for unit, result in zip(units, results, strict=True)}

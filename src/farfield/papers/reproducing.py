@@ -17,8 +17,9 @@ from farfield.detectors.devices import chosen_device
 from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.json_text import plain_json
 from farfield.jobs import JobOptions
-from farfield.jobs.folders import locked
+from farfield.jobs.folders import held
 from farfield.jobs.runs import Progress
 from farfield.papers import planning
 from farfield.papers.claims import Claims
@@ -47,6 +48,7 @@ from farfield.papers.sheets import SheetGroup, sheet_locations, sheets_of
 from farfield.papers.statistics import objects_in
 from farfield.papers.summary import ReproductionSummary, curves_of, summary_of
 from farfield.papers.validation import validation_of
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.patterns import PATTERNS
 
 MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
@@ -63,15 +65,8 @@ def sole_command(out: Path) -> Iterator[None]:
     Raises:
         ConfigError: If another command is at work there.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    try:
-        with locked(out, shared=False):
-            yield
-    except BlockingIOError as error:
-        raise ConfigError(
-            f"{out}: expected no other command at work in this folder, found one. Wait for it, or name "
-            "another folder with --out; --page writes the page of what is done meanwhile."
-        ) from error
+    with held(out, fix="Wait for it, or name another folder with --out; --page writes the page of what is done."):
+        yield
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +189,7 @@ class Reproduction:
         """
         chosen_device(self.device)
         with sole_command(self.out):
+            shutil.rmtree(self._scratch, ignore_errors=True)
             share = self.outline().steps_share if self._limited else 1.0
             locations, learnt = self.locations, self._learnt()
             needed = {name: locations[name] for name in sorted(self._untrained(share))}
@@ -226,6 +222,7 @@ class Reproduction:
             self.out.mkdir(parents=True, exist_ok=True)
             return self._run(page_only=True)
         with sole_command(self.out):
+            shutil.rmtree(self._scratch, ignore_errors=True)
             return self._run(page_only=False)
 
     def _run(self, *, page_only: bool) -> Path:
@@ -299,6 +296,11 @@ class Reproduction:
             "source": None if self.source is None else str(self.source.resolve()),
         }
 
+    @property
+    def _scratch(self) -> Path:
+        """Where a command measures; one that was killed leaves it, and a plan for as many workers may be there."""
+        return self.out / ".measure"
+
     def _measure(
         self, locations: Mapping[str, DataLocation]
     ) -> tuple[dict[str, planning.RunRate], dict[str, float], float]:
@@ -306,7 +308,7 @@ class Reproduction:
         stored = _read(self.out / MEASURED)
         if stored.get("for") == self._measured_for:
             return planning.rates_of(stored), dict(stored["simulating_s"]), float(stored.get("sheet_s", 0.0))
-        scratch = self.out / ".measure"
+        scratch = self._scratch
         shutil.rmtree(scratch, ignore_errors=True)  # of a command that was killed: its frames would cost nothing
         self.out.mkdir(parents=True, exist_ok=True)
         needed = {stream.set for run in self.grid.runs_of(self.budget).values() for stream in run.streams.values()}
@@ -432,7 +434,7 @@ class Reproduction:
         from farfield.papers.page import write_page
 
         # decide
-        self.report(f"deciding on {len(self.claims)} claims with {len(done)} of {len(jobs)} runs")
+        self.report(f"deciding on {len(self.claims)} claims with {len(done)} of {count_of(len(jobs), 'run')}")
         trees = [scores_of(job, self._runs) for job in done]
         scores = Scores.of(trees)
         options = JobOptions(workers=self.num_workers, progress=self.progress("counting points"))
@@ -491,6 +493,6 @@ def _read(path: Path) -> Tree:
     if not path.is_file():
         return {}
     try:
-        return dict(json.loads(read_bytes(path, max_bytes=_MAX_BYTES)))
+        return dict(plain_json(read_bytes(path, max_bytes=_MAX_BYTES)))
     except ValueError:
         return {}  # cut off or foreign: planned anew

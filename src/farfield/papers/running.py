@@ -18,16 +18,17 @@ from farfield.datasets import Dataset
 from farfield.errors import FileFormatError, plain
 from farfield.experiments.plan import Plan
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.json_text import plain_json
 from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.jobs.runs import Progress
 from farfield.papers.grid import Tree
 from farfield.papers.jobs import TrainingJob, waves
-from farfield.training.checkpoints import CHECKPOINT_NAME
+from farfield.training.checkpoints import CHECKPOINT_NAME, begin_log
 from farfield.training.report import TrainingReport
+from farfield.vocabulary.counts import count_of
 
 JOURNAL = ".journal.jsonl"
 SCORES, WEIGHTS, CLOCK = "scores.json", "weights.safetensors", "clock.jsonl"
-_MAX_BYTES = 1 << 28
 SPENT = "spent.json"
 """The processor's time of a job that is not done; see :class:`CpuTime`."""
 _NOTED_EVERY_S = 10.0
@@ -133,6 +134,7 @@ class RunTask:
     def _finish(home: Path, clock: dict[str, Any], cpu_time: "CpuTime") -> None:
         (home / CHECKPOINT_NAME).unlink(missing_ok=True)
         clock["processor_s"] = round(cpu_time.seconds, 1)
+        begin_log(home / CLOCK, anew=False)
         with (home / CLOCK).open("a", encoding="utf-8") as file:
             file.write(json.dumps(clock) + "\n")
         cpu_time.remove()
@@ -148,7 +150,7 @@ class CpuTime(TrainingReport):
     def __init__(self, path: Path) -> None:
         self._path, self._begun, self._noted = path, time.process_time(), time.monotonic()
         with suppress(OSError, ValueError, TypeError, KeyError, FileFormatError):
-            self._begun -= float(json.loads(read_bytes(path, max_bytes=_MAX_BYTES))["processor_s"])
+            self._begun -= float(plain_json(read_bytes(path))["processor_s"])
 
     @property
     def seconds(self) -> float:
@@ -214,7 +216,7 @@ def do_all(
         left = sum(not journal.has(unit) for unit in units)
         if left:
             names = ", ".join(dict.fromkeys(name for job in wave for name in job.runs))
-            report(f"{left} of {len(units)} runs are left: {names}")
+            report(f"{left} of {count_of(len(units), 'run')} are left: {names}")
         run(RunTask(folder, scoring), units, JobOptions(workers=workers, progress=progress), journal=journal)
 
 
@@ -267,14 +269,30 @@ def scores_of(job: TrainingJob, folder: Path) -> Tree:
     """
     path = folder / job.folder / SCORES
     try:
-        return dict(json.loads(read_bytes(path, max_bytes=_MAX_BYTES)))
+        return dict(plain_json(read_bytes(path)))
     except ValueError as error:
         raise FileFormatError(path, where="the file", expected="the scores of a run", got=plain(error)) from None
 
 
 def clocks_of(job: TrainingJob, folder: Path) -> list[dict[str, Any]]:
-    """What the clock measured of a job, a line each time that it was done or gone on with."""
+    """What the clock measured of a job, a line each time that it was done or gone on with.
+
+    A last line that is torn is passed over.
+
+    Raises:
+        FileFormatError: If another line is damaged.
+    """
     path = folder / job.folder / CLOCK
-    if not path.is_file():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+    lines = path.read_bytes().splitlines() if path.is_file() else []
+    clocks = []
+    for number, line in enumerate(lines, 1):
+        try:
+            clocks.append(dict(plain_json(line)))
+        except (ValueError, TypeError) as error:
+            if number == len(lines):
+                break
+            where, fix = f"line {number}", "Remove the line: what that run took is then not known."
+            raise FileFormatError(
+                path, where=where, expected="times as JSON", got=plain(error)[:200], fix=fix
+            ) from None
+    return clocks

@@ -35,6 +35,7 @@ from farfield.papers.locations import DataLocation
 from farfield.radar.axes import CUBE_X_M, CUBE_Y_M
 from farfield.radar.views import NEAREST_M, PRODUCTS
 from farfield.vocabulary.conditions import WEATHERS
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.kradar import REGIONS_M
 from farfield.vocabulary.scores import SHOWN_SCORE
 
@@ -422,7 +423,7 @@ def sheet_picture(
         radar, lidar = figure.add_subplot(panels[0]), figure.add_subplot(panels[1])
         _draw_power(radar, sheet, window_m)
         draw_birdseye(lidar, sheet.cloud, window_m=window_m, point_size=1.6, rings_m=())
-        lidar.set_title(f"LiDAR: {len(sheet.cloud):,} points of the os2-64")
+        lidar.set_title(f"LiDAR: {count_of(len(sheet.cloud), 'point', spec=',')} of the os2-64")
         for axes, detections in ((radar, sheet.on_radar), (lidar, sheet.on_lidar)):
             _draw_objects(axes, sheet, detections, region_m)
             axes.set(xlim=window_m[:2], ylim=window_m[2:], aspect="equal", ylabel="y left (m)")

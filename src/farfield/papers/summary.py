@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from farfield.files.json_text import plain_json
 from farfield.frame.provenance import environment
 from farfield.metrics.result import at, value_at
 from farfield.papers.claims import Claim, Claims
@@ -113,7 +114,7 @@ def _trained_on(provenances: Sequence[Tree]) -> list[Tree]:
             "commit": machine.get("commit"),
         }
         groups[json.dumps(group, sort_keys=True)] += 1
-    return [{**json.loads(text), "runs": -count} for count, text in sorted((-n, text) for text, n in groups.items())]
+    return [{**plain_json(text), "runs": -count} for count, text in sorted((-n, text) for text, n in groups.items())]
 
 
 def _claim(claim: Claim, claims: Claims, comparisons: Sequence[DecidedComparison]) -> Tree:

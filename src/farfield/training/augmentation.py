@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes, points_in_boxes
 from farfield.geometry.iou import pairwise_iou
 from farfield.training.config import AugmentationConfig, SparseNear
+from farfield.vocabulary.classes import CLUTTER, UNSURE
 
 Points = Float32[np.ndarray, "_ _"]
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -79,7 +80,8 @@ class ObjectBank:
                     continue
                 keep[points_in_boxes(points[:, :3], new_box, margin_m=0.1)[0]] = False
                 added.append(new_points)
-                boxes = Boxes.concatenate([boxes, new_box])
+                boxes = Boxes.concatenate([boxes, new_box])  # of clutter too, so that nothing else is pasted there
+        boxes = boxes[np.asarray(boxes.label) != CLUTTER] if counts.get(CLUTTER) else boxes
         return np.concatenate([points[keep], *added]), boxes
 
 
@@ -205,6 +207,7 @@ def augment(
     rng: np.random.Generator,
     bank: ObjectBank | None = None,
     weather: Callable[[Points, Boxes], tuple[Points, Boxes]] | None = None,
+    intensity: int | None = None,
 ) -> tuple[Points, Boxes]:
     """Apply all random changes to one frame.
 
@@ -215,6 +218,7 @@ def augment(
         rng: The only source of randomness.
         bank: Objects to paste.
         weather: Lays the frame's weather over points and boxes, where the sensor measured them.
+        intensity: Column of the points' intensity; None where they have none.
 
     Returns:
         New points and boxes.
@@ -224,6 +228,9 @@ def augment(
         points, boxes = bank.paste(points, boxes, config.pasted, rng, bands_m=config.pasted_bands_m)
     if weather is not None:
         points, boxes = weather(points, boxes)
+    if config.object_scale:
+        points, boxes = scale_objects(points, boxes, config.object_scale, rng)
+    points, boxes = _as_another_sensor(points, boxes, config, rng, intensity)
     change = draw_change(config, rng)
     points, boxes = change.points(points), change.boxes(boxes)
     if config.thinning:
@@ -231,6 +238,69 @@ def augment(
     if config.sparse_near is not None:
         points, boxes = _thinned(points, boxes, sparse_near(points, boxes, config.sparse_near, rng))
     return points, boxes
+
+
+def scale_objects(points: Points, boxes: Boxes, most: float | int, rng: np.random.Generator) -> tuple[Points, Boxes]:
+    """Each object longer or shorter, wider or narrower, higher or lower, standing where it stood (ST3D, section 3.2).
+
+    Args:
+        points: x, y, z first.
+        boxes: Full boxes.
+        most: Largest share by which a side changes.
+        rng: The only source of randomness.
+    """
+    unsure = np.asarray(boxes.label) == UNSURE
+    factor = np.where(unsure[:, None], 1.0, rng.uniform(1 - most, 1 + most, (len(boxes), 3)))
+    scaled = points.copy()
+    low_m = boxes.centre_m - [0.0, 0.0, 0.5] * boxes.size_m
+    for row, inside in enumerate(points_in_boxes(points[:, :3], boxes, margin_m=BOX_MARGIN_M)):
+        cos, sin = np.cos(boxes.yaw_rad[row]), np.sin(boxes.yaw_rad[row])
+        to_box = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        local = (points[inside, :3] - low_m[row]) @ to_box.T * factor[row]
+        scaled[inside, :3] = local @ to_box + low_m[row]
+    size_m = boxes.size_m * factor
+    centre_m = low_m + [0.0, 0.0, 0.5] * size_m
+    return scaled, boxes.replace(size_m=size_m, centre_m=centre_m)
+
+
+_LINE_DEG, _SECTOR_DEG = (0.1, 0.5), (5.0, 30.0)
+
+
+def _as_another_sensor(
+    points: Points, boxes: Boxes, config: AugmentationConfig, rng: np.random.Generator, intensity: int | None
+) -> tuple[Points, Boxes]:
+    """The frame as a sensor of fewer lines, a covered window, more noise or no intensity would have measured it."""
+    if config.line_dropout:
+        points, boxes = _thinned(points, boxes, drop_lines(points, config.line_dropout, rng))
+    if config.missing_sectors and rng.random() < config.missing_sectors:
+        width, middle = np.deg2rad(rng.uniform(*_SECTOR_DEG)), rng.uniform(-np.pi, np.pi)
+        azimuth = np.arctan2(points[:, 1], points[:, 0])
+        apart = np.abs((azimuth - middle + np.pi) % (2 * np.pi) - np.pi)
+        points, boxes = _thinned(points, boxes, apart > width / 2)
+    if config.range_noise_m:
+        range_m = np.linalg.norm(points[:, :3], axis=1)
+        noise_m = rng.uniform(0, config.range_noise_m) * rng.standard_normal(len(points))
+        points = points.copy()
+        points[:, :3] *= (1 + noise_m / np.maximum(range_m, 1.0)).astype(np.float32)[:, None]
+    if config.intensity_off and rng.random() < config.intensity_off and intensity is not None:
+        points = points.copy()
+        points[:, intensity] = 0.0
+    return points, boxes
+
+
+def drop_lines(points: Points, most: float | int, rng: np.random.Generator) -> Bool[np.ndarray, " n"]:
+    """Which points stay where whole scan lines are dropped, up to a share of them: lines are bands of the elevation.
+
+    Args:
+        points: x, y, z first, the sensor near the origin.
+        most: Largest share of the lines that is dropped.
+        rng: The only source of randomness.
+    """
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    line = np.floor(elevation / np.deg2rad(rng.uniform(*_LINE_DEG)) + rng.random()).astype(np.int64)
+    line -= line.min(initial=0)
+    stays = rng.random(line.max(initial=0) + 1) >= rng.uniform(0, most)
+    return np.asarray(stays[line])
 
 
 def sparse_near(points: Points, boxes: Boxes, config: SparseNear, rng: np.random.Generator) -> Bool[np.ndarray, " n"]:

@@ -7,6 +7,7 @@ end with the archive, whose checksums cover the numbers.
 import hashlib
 import io
 import json
+import os
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,8 +20,13 @@ from torch import Tensor, nn
 
 from farfield.detectors import DETECTORS
 from farfield.detectors.soundness import unlike, unsound
+from farfield.detectors.torch_files import load_torch
 from farfield.errors import ConfigError, FarfieldError, FileFormatError, plain
-from farfield.files.atomic import open_atomic, write_text
+from farfield.files.archives import check_archive
+from farfield.files.atomic import open_atomic, read_bytes, write_text
+from farfield.files.json_text import plain_json
+from farfield.files.limits import MAX_WEIGHTS_BYTES, open_file
+from farfield.vocabulary.counts import count_of
 
 CHECKPOINT_NAME = "checkpoint.pt"
 """In a run's folder: its state."""
@@ -64,19 +70,16 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         FileFormatError: If the file changed since it was written, is damaged, or holds other objects.
     """
     _check_bytes(path)
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        if not isinstance(state, dict):
-            raise TypeError(f"it holds {type(state).__name__}")
-    except Exception as error:  # torch raises many kinds for damaged or hostile files
-        raise FileFormatError(path, where="file", expected=_OURS, got=str(error)[:200], fix=_ANEW) from error
+    state = load_torch(path, expected=_OURS, fix=_ANEW)
+    if not isinstance(state, dict):
+        raise FileFormatError(path, where="the file", expected=_OURS, got=type(state).__name__, fix=_ANEW)
     return state
 
 
 def _check_bytes(path: Path) -> None:
     """Compare a checkpoint with the digest behind it; one of an earlier version with its archive's checksums."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
+    with open_file(path, max_bytes=MAX_WEIGHTS_BYTES) as file:
+        size = os.fstat(file.fileno()).st_size
         file.seek(max(0, size - _TRAILER_BYTES))
         trailer = file.read()
         if not trailer.startswith(_MARK):
@@ -96,15 +99,13 @@ def _check_bytes(path: Path) -> None:
 def _check_archive(path: Path, file: BinaryIO) -> None:
     """See that an archive ends with the file, and that what it holds has its checksums."""
     got = ""
+    check_archive(path, file, expected=_OURS)
     try:
         with zipfile.ZipFile(file) as archive:
-            packed = [member.filename for member in archive.infolist() if member.compress_type != zipfile.ZIP_STORED]
-            damaged = None if packed else archive.testzip()
+            damaged = archive.testzip()
             behind = archive.comment
         file.seek(-_ARCHIVE_END_BYTES, io.SEEK_END)
-        if packed:
-            got = f"compressed numbers at {packed[0]}"
-        elif damaged is not None:
+        if damaged is not None:
             got = f"another checksum at {damaged}"
         elif behind or not file.read().startswith(_ARCHIVE_END):
             got = "other bytes behind it, such as a damaged digest"
@@ -163,13 +164,13 @@ def load_run(path: Path, provenance: Mapping[str, Any], modules: nn.ModuleDict) 
         return None
     state = load_checkpoint(path)
     try:
-        saved, step = json.loads(state["provenance"]), state["step"]
+        saved, step = plain_json(state["provenance"]), state["step"]
         modules_state, average, optimizer = _module_states(state), dict(state["average"]), dict(state["optimizer"])
         if not isinstance(saved, Mapping) or isinstance(step, bool) or not isinstance(step, int) or step < 0:
             raise ValueError(f"step {step!r} of {type(saved).__name__}")
         _check_same(path, saved, provenance, step)
         prolonged(saved, provenance, step)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FileFormatError(
             path, where="keys", expected="those of farfield train", got=plain(error), fix=_ANEW
         ) from error
@@ -283,7 +284,7 @@ def _check_same(path: Path, saved: Mapping[str, Any], provenance: Mapping[str, A
             "folder."
         )
     if (steps := now.get(STEPS, step)) < step:
-        raise ConfigError(f"{path} has done {step} steps; {STEPS} may be raised, not set to {steps}.")
+        raise ConfigError(f"{path} has done {count_of(step, 'step')}; {STEPS} may be raised, not set to {steps}.")
 
 
 def flatten(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -357,14 +358,14 @@ class BestScore:
         if not path.is_file():
             return None
         try:
-            tree = json.loads(path.read_bytes())
+            tree = plain_json(read_bytes(path, max_bytes=_BLOCK_BYTES))
             best = cls(tree["step"], tree["validation"])
             whole = type(best.step) is int and best.step >= 0
             if not whole or type(best.score) not in (int, float) or not 0 <= best.score <= 1:
                 raise ValueError(f"step {best.step}, validation {best.score}")
             if set(tree) != {"step", "validation"} and tree != best._tree():  # which earlier versions wrote
                 raise ValueError("figures that changed since they were written")
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError) as error:
             fix = "Remove it: the next validation then counts as the best."
             expected = "a step, a validation from 0 to 1, and their digest"
             raise FileFormatError(path, where="the file", expected=expected, got=plain(error)[:200], fix=fix) from error
@@ -384,15 +385,21 @@ def begin_log(path: Path, *, anew: bool) -> None:
 
     Args:
         path: The log.
-        anew: The run begins, and no line of another stays; else a last line is cut that has no end, as a process leaves
-            it that was killed while it wrote.
+        anew: The run begins, and no line of another stays; else a last line is cut that is damaged or has no end, as a
+            process leaves it that was killed while it wrote.
     """
     if anew:
         path.unlink(missing_ok=True)
     elif path.is_file():
         data = path.read_bytes()
+        end = data.rfind(b"\n") + 1
+        last = data[data.rfind(b"\n", 0, max(0, end - 1)) + 1 : end]
+        try:
+            plain_json(last or b"0")
+        except ValueError:
+            end -= len(last)
         with path.open("r+b") as file:
-            file.truncate(data.rfind(b"\n") + 1)
+            file.truncate(end)
 
 
 def remove_best(folder: Path, stems: Sequence[str]) -> None:

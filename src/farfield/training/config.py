@@ -2,17 +2,18 @@
 
 import itertools
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     field_validator,
     model_serializer,
     model_validator,
 )
+
+from farfield.files.yaml_text import PlainSettings
 
 
 def _in_order(span: tuple[float, float]) -> tuple[float, float]:
@@ -31,11 +32,7 @@ Gains = Annotated[tuple[float, float], AfterValidator(_in_order)]
 """From and to, in dB."""
 
 
-class _Settings(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SparseNear(_Settings):
+class SparseNear(PlainSettings):
     """Near points thinned until near objects hold as many as far ones do: a control of range adaptation."""
 
     near_m: float = Field(100.0, gt=0, description="points nearer than this are thinned")
@@ -49,7 +46,7 @@ class SparseNear(_Settings):
         return self
 
 
-class WeatherConfig(_Settings):
+class WeatherConfig(PlainSettings):
     """Weather laid over frames. Spans are drawn from; their defaults lie outside those of the simulator's weathers."""
 
     probability: float = Field(0.5, ge=0, le=1, description="share of the frames that get weather; 0 switches it off")
@@ -79,7 +76,10 @@ class WeatherConfig(_Settings):
     floor_rise_db: Gains = Field((0.0, 0.5), description="by how much a radar's noise rises")
 
 
-class AugmentationConfig(_Settings):
+_LATE = ("weather", "object_scale", "line_dropout", "missing_sectors", "range_noise_m", "intensity_off")
+
+
+class AugmentationConfig(PlainSettings):
     """Random changes to a training frame. Zero switches each off."""
 
     flip_probability: float = Field(0.5, ge=0, le=1, description="mirror left and right")
@@ -97,6 +97,20 @@ class AugmentationConfig(_Settings):
     )
     bank_frames: int = Field(128, ge=1, description="frames whose objects can be pasted at a time; they change slowly")
     weather: WeatherConfig | None = Field(None, description="weather laid over frames before they are moved")
+    object_scale: float = Field(
+        0.0, ge=0, lt=1, description="scale each object, its points and its box, by up to this share; full boxes only"
+    )
+    line_dropout: float = Field(0.0, ge=0, lt=1, description="drop up to this share of the scan lines, whole ones")
+    missing_sectors: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="share of the frames that lose a sector of 5 to 30 degrees, as ice on a window does",
+    )
+    range_noise_m: float = Field(0.0, ge=0, description="noise along the beam of up to this standard deviation")
+    intensity_off: float = Field(
+        0.0, ge=0, le=1, description="share of the frames whose intensity is 0, as that of sensors that give none"
+    )
 
     @field_validator("pasted_bands_m")
     @classmethod
@@ -107,18 +121,15 @@ class AugmentationConfig(_Settings):
 
     @model_serializer(mode="wrap")
     def _serialised(self, others: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """All settings; the weather only where there is one, so that trainings without are recognised as before."""
-        values = others(self)
-        if self.weather is None:
-            values.pop("weather", None)
-        return values
+        """All settings; late ones only where they are set, so that trainings without are recognised as before."""
+        return {name: value for name, value in others(self).items() if name not in _LATE or getattr(self, name)}
 
 
 UNCHANGED = AugmentationConfig(flip_probability=0.0, rotation_rad=0.0, scale=0.0)
 """No random change."""
 
 
-class InitConfig(_Settings):
+class InitConfig(PlainSettings):
     """What of other weights a network takes; :mod:`farfield.training.transfer` has the rules in their order."""
 
     rename: dict[str, str] = Field(
@@ -132,7 +143,7 @@ class InitConfig(_Settings):
     least_taken: float = Field(0.1, ge=0, le=1, description="taking a smaller share of the parameters is an error")
 
 
-class StatisticsConfig(_Settings):
+class StatisticsConfig(PlainSettings):
     """Batch statistics taken anew on the target's frames, before the first step."""
 
     reestimate_batches: int = Field(
@@ -177,7 +188,7 @@ class StartConfig(InitConfig):
         return {name: value for name, value in values.items() if name in written}
 
 
-class ValidationConfig(_Settings):
+class ValidationConfig(PlainSettings):
     """Scores on frames that are not trained on, while the training runs; the best weights are kept."""
 
     every_steps: int = Field(500, ge=1, description="steps between two scores; the last step is scored too")
@@ -189,7 +200,7 @@ class ValidationConfig(_Settings):
     )
 
 
-class TrainingConfig(_Settings):
+class TrainingConfig(PlainSettings):
     """The loop. ``start_from: WEIGHTS`` is short for ``start: {weights: WEIGHTS}``."""
 
     steps: int = Field(
@@ -222,6 +233,9 @@ class TrainingConfig(_Settings):
     far_from_m: float = Field(150.0, gt=0, description="boxes from this range on are far")
     validation: ValidationConfig | None = Field(None, description="scores on held-out frames while it runs")
     start: StartConfig | None = Field(None, description="weights to start from: what fits is taken, and reported")
+    negatives: Path | None = Field(
+        None, description="file of mined false boxes; augmentation.pasted: {clutter: 4} pastes what stands in them"
+    )
     tensorboard: bool = Field(False, description="also log for TensorBoard, into the run's folder")
     seed: int = Field(0, description="of weights, order of frames and all random changes")
 
@@ -253,4 +267,6 @@ class TrainingConfig(_Settings):
             values.pop("validation", None)
         if self.start is None:
             values.pop("start", None)
+        if self.negatives is None:
+            values.pop("negatives", None)
         return values

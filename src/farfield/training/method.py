@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, TypeVar, cast
 
 import torch
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from farfield.detectors.features import Features
 from farfield.detectors.inputs import Inputs
 from farfield.detectors.network import Network
 from farfield.errors import ConfigError, fault_of
+from farfield.files.yaml_text import PlainSettings
 from farfield.geometry.boxes import Boxes
 from farfield.registry import Registry, take_old_methods
 
@@ -171,7 +172,7 @@ class Method(ABC):
         return {}
 
 
-class MethodSettings(BaseModel):
+class MethodSettings(PlainSettings):
     """Settings of a method, or of a part of it; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -218,6 +219,7 @@ METHODS: Registry[Callable[..., Method]] = Registry(
     "training method",
     {
         "supervised": "farfield.training.method:Supervised",
+        "mixed": "farfield.training.mixed:MixedSupervision",
         "continued": "farfield.adaptation.continued:ContinuedTraining",
         "range": "farfield.adaptation.range:RangeAdaptation",
         "device": "farfield.adaptation.device:DeviceAdaptation",

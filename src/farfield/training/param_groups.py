@@ -15,6 +15,7 @@ from torch import nn
 
 from farfield.errors import ConfigError
 from farfield.training.config import StartConfig, TrainingConfig
+from farfield.vocabulary.counts import count_of
 
 
 def rates_of(network: nn.Module, start: StartConfig | None) -> dict[str, float]:
@@ -96,7 +97,7 @@ def describe_parts(network: nn.Module, config: TrainingConfig) -> list[str]:
                 description = "frozen, not in the optimiser"
             else:
                 description = f"rate {rate * config.learning_rate:g} at its peak"
-                description += f", frozen for the first {last} of {config.steps} steps" if last else ""
+                description += f", frozen for the first {last} of {count_of(config.steps, 'step')}" if last else ""
             lines.append(f"{part}: {len(sizes)} tensors, {sum(sizes)} parameters, {description}")
     return lines
 

@@ -5,7 +5,10 @@ workers, sees exactly the same samples.
 """
 
 import hashlib
+import os
 import signal
+import threading
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -29,10 +32,12 @@ from farfield.training.augmentation import LAG, Points, Progress, RollingBank, a
 from farfield.training.config import UNCHANGED, AugmentationConfig
 from farfield.training.method import LABELLED, Batch, Stream
 from farfield.training.weather import WeatherOverlay, check_weather, draw_weather, read_with
-from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class
+from farfield.vocabulary.classes import CIRRUS_CLASSES, UNSURE, closest_class
+from farfield.vocabulary.counts import count_of
 
 _ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # keys of the generators; 4 and 5 are the loop's and the methods'
 _LOOKED_AT, _LEAST_BOXES = 10, 20  # frames in which no box has points, and their boxes, that stop a training
+_LOOK_S = 0.5  # between a worker's looks whether its training still runs
 _FIRST = ("x_m", "y_m", "z_m", "lag_s")
 
 Binding = Mapping[str, str]
@@ -97,6 +102,7 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         far_from_m: Boxes from this range on are far.
         name: The stream's name.
         stream: What the stream is.
+        negatives: Mined boxes of the class ``clutter`` by frame, whose points can be pasted without a box.
 
     Raises:
         ConfigError: If the clouds do not fit the inputs, or weather cannot be laid over them.
@@ -118,13 +124,14 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         far_from_m: float | int = 150.0,
         name: str = LABELLED,
         stream: Stream | None = None,
+        negatives: Mapping[Key, Boxes] | None = None,
     ) -> None:
         self.data, self.inputs, self.bindings = data, dict(inputs), bindings(inputs, clouds)
         self.classes, self.assigner, self.augmentation = tuple(classes), assigner, augmentation
         self.min_points, self.seed, self.aliases = min_points, seed, aliases or {}
         self.far_sampling, self.far_from_m = float(far_sampling), float(far_from_m)
         self.name, self.stream = name, stream or Stream()
-        self.labelled = self.stream.labelled
+        self.labelled, self.negatives = self.stream.labelled, negatives or {}
         if not self.labelled:
             self.augmentation, self.far_sampling = augmentation.model_copy(update={"pasted": {}}), 0.0
         if not self.stream.changed:
@@ -213,10 +220,13 @@ class TrainingSamples(TorchDataset[TrainingSample]):
                 "count as empty. Leave such frames out (training.unannotated: skip)."
             )
         boxes = annotation.boxes.relabel(self.aliases)
-        return boxes[np.isin(boxes.label, self.classes)]
+        return boxes[np.isin(boxes.label, (*self.classes, UNSURE))]
 
     def _cut_out(self, number: int) -> "list[tuple[Points, Boxes]]":
-        return cut_out(*self.load(number), min_points=self.augmentation.pasted_min_points)
+        points, boxes = self.load(number)
+        clutter = self.negatives.get(self.data.keys[number if self._joint else number // len(self.bindings)])
+        sets = [boxes] if clutter is None else [boxes, clutter]
+        return [cut for one in sets for cut in cut_out(points, one, min_points=self.augmentation.pasted_min_points)]
 
     def _bank_epoch(self, epoch: int) -> np.ndarray:
         return self._generator(_BANK, epoch).permutation(self._loads)
@@ -243,7 +253,7 @@ class TrainingSamples(TorchDataset[TrainingSample]):
             annotation = self.data.annotation(index)
             if annotation is not None:
                 names.update(map(str, annotation.boxes.relabel(self.aliases).label))
-        return {name: count for name, count in names.items() if name not in (*self.classes, *CIRRUS_CLASSES)}
+        return {name: count for name, count in names.items() if name not in (*self.classes, *CIRRUS_CLASSES, UNSURE)}
 
     def _check_boxes(self) -> None:
         """Refuse frames of which none has a box of a trained class: the loss of boxes would be 0 to the end.
@@ -255,13 +265,13 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         box_count = frame_count = filled_count = 0
         for index, key in enumerate(self.data.keys):
             annotation = self.data.annotation(index)
-            boxes = self._trained_boxes(annotation, key)
+            boxes = _sure(self._trained_boxes(annotation, key))
             if annotation is not None and not len(boxes):
                 for name in np.asarray(annotation.boxes.label).tolist():
                     others[str(name)] = others.get(str(name), 0) + 1
                 continue
             _, filled = self.load(index if self._joint else index * len(self.bindings))
-            filled_count += len(filled)
+            filled_count += len(_sure(filled))
             box_count += len(boxes)
             frame_count += 1
             if filled_count or frame_count >= _LOOKED_AT:
@@ -271,7 +281,8 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         if not filled_count and box_count >= _LEAST_BOXES:
             raise DatasetError(
                 f"{self.data.root}: expected boxes with at least {self.min_points} points, found none among "
-                f"{box_count} boxes of {frame_count} frames: boxes and points do not lie in one place. "
+                f"{count_of(box_count, 'box', 'boxes')} of {count_of(frame_count, 'frame')}: "
+                "boxes and points do not lie in one place. "
                 "farfield doctor DATA says how"
             )
 
@@ -280,7 +291,7 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         if self._weights is None and self.far_sampling > 0:
             far = np.zeros(len(self.data), dtype=np.float64)
             for index in progress(range(len(self.data))):
-                boxes = self._trained_boxes(self.data.annotation(index), self.data.keys[index])  # no frame is built
+                boxes = _sure(self._trained_boxes(self.data.annotation(index), self.data.keys[index]))
                 far[index] = np.count_nonzero(np.hypot(*boxes.centre_m[:, :2].T) >= self.far_from_m)
             weight = 1 + self.far_sampling * far / max(float(far.mean()), 1e-9)
             self._weights = np.repeat(weight, len(self.bindings))
@@ -316,7 +327,10 @@ class TrainingSamples(TorchDataset[TrainingSample]):
             chosen = rows[:, [self.columns.index(column) for column in cloud.columns]]
             inputs[name] = np.ascontiguousarray(chosen, dtype=np.float32)
         targets = self.assigner(boxes, inputs) if self.labelled else None
-        counted = boxes.replace(point_count=_count(points, boxes)) if self.stream.boxes else None
+        counted = None
+        if self.stream.boxes:
+            boxes = boxes[np.asarray(boxes.label) != UNSURE]
+            counted = boxes.replace(point_count=_count(points, boxes))
         return TrainingSample({name: torch.from_numpy(rows) for name, rows in inputs.items()}, targets, counted)
 
     def _augmented(self, unit: int) -> tuple[Points, Boxes]:
@@ -325,7 +339,8 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         points, boxes = self.load(int(self._order(epoch)[index]))
         bank = None if self._bank is None else self._bank.at(unit * self.together if self._joint else unit)
         weather = self._weather(unit)
-        return augment(points, boxes, self.augmentation, self._generator(_CHANGES, unit), bank, weather)
+        intensity = self.columns.index("intensity") if "intensity" in self.columns else None
+        return augment(points, boxes, self.augmentation, self._generator(_CHANGES, unit), bank, weather, intensity)
 
     def _weather(self, unit: int) -> WeatherOverlay | None:
         """What lays weather over the frame at a position, or over a pair; None where it stays as it is."""
@@ -363,9 +378,15 @@ def no_boxes(data: Dataset, stream: str, classes: Sequence[str], others: Mapping
         f" Say which is meant: -o '{key}.aliases={{{aliases}}}', or train them: detector.class_names" if others else ""
     )
     return DatasetError(
-        f"{data.root}: expected boxes of the trained classes {', '.join(classes)}, found none in {len(data)} frames; "
+        f"{data.root}: expected boxes of the trained classes {', '.join(classes)}, "
+        f"found none in {count_of(len(data), 'frame')}; "
         f"there are: {shown}.{fix if others else ''}"
     )
+
+
+def _sure(boxes: Boxes) -> Boxes:
+    """The boxes of objects, without those of what may be one."""
+    return boxes[np.asarray(boxes.label) != UNSURE]
 
 
 def _count(points: Points, boxes: Boxes) -> Int[np.ndarray, " n"]:
@@ -439,7 +460,9 @@ def batch_shares(
     units = units or {}
     uneven = [name for name, count in counts.items() if count % (world * units.get(name, 1))]
     if uneven:
-        groups = f" with {units[uneven[0]]} samples that stay together" if units.get(uneven[0], 1) > 1 else ""
+        groups = (
+            f" with {count_of(units[uneven[0]], 'sample')} that stay together" if units.get(uneven[0], 1) > 1 else ""
+        )
         raise ConfigError(
             f"Expected a batch_size that {world} processes{groups} divide, for each stream; got {batch_size}, of which "
             f"{counts[uneven[0]]} for {uneven[0]}."
@@ -494,6 +517,14 @@ def batches(
 def _one_thread(_: int) -> None:
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the training's, which ends its workers
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    """End this worker when its training was killed: it holds the run's folder as long as it lives."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK_S)
+    os._exit(1)
 
 
 def to_batch(samples: list[TrainingSample], fabric: Fabric) -> Batch:

@@ -23,8 +23,16 @@ from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError
 from farfield.training.config import InitConfig
 from farfield.training.param_groups import is_within
+from farfield.vocabulary.counts import count_of
 
-_SHAPELESS = ("score_threshold", "nms_iou", "max_boxes", "far_weight")  # settings that no weight depends on
+_SHAPELESS = (
+    "score_threshold",
+    "nms_iou",
+    "max_boxes",
+    "far_weight",
+    "full_points",
+    "score_bands",
+)  # settings that no weight depends on
 _SHOWN = 12
 _OTHER = "of other classes"
 
@@ -228,7 +236,7 @@ def _fit(
         axis, here, there, description = pairs
         own.movedim(axis, 0)[here] = other.movedim(axis, 0)[there].to(own.dtype)
         count = own.numel() // own.shape[axis] * len(here)
-        return "by_class", count, f"{len(here)} of {own.shape[axis]} rows, by class{description}"
+        return "by_class", count, f"{len(here)} of {count_of(own.shape[axis], 'row')}, by class{description}"
     own_columns, source_columns = columns.get(name), source.columns.get(name)
     named_alike = own_columns is None or source_columns is None or list(own_columns[1]) == list(source_columns[1])
     if pairs is None and own.shape == other.shape and named_alike:

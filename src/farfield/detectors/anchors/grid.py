@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from farfield.detectors.config import range_weights
+from farfield.detectors.config import ALIKE, BoxWeights
 from farfield.geometry.boxes import Boxes, wrap_angle_rad
-from farfield.vocabulary.classes import CIRRUS_SIZES_M
+from farfield.vocabulary.classes import CIRRUS_SIZES_M, UNSURE
 
 HEADINGS_RAD = np.array([0.0, np.pi / 2])
 DIRECTION_OFFSET_RAD = 0.78539  # OpenPCDet's DIR_OFFSET
@@ -67,8 +67,11 @@ class AnchorTargets:
         Args:
             unsure: The targets of the unsure boxes.
         """
-        near = np.concatenate([self.ignored, unsure.positive, unsure.ignored])
-        return replace(self, ignored=np.setdiff1d(near, self.positive))
+        return self.ignoring_anchors(np.concatenate([unsure.positive, unsure.ignored]))
+
+    def ignoring_anchors(self, anchors: Int[np.ndarray, " k"]) -> "AnchorTargets":
+        """These targets, where some anchors are neither object nor background unless they are assigned to a box."""
+        return replace(self, ignored=np.setdiff1d(np.concatenate([self.ignored, anchors]), self.positive))
 
 
 class AnchorGrid:
@@ -131,6 +134,22 @@ class AnchorGrid:
         """Number of each box's class, -1 for those that have no anchor, shape (n,)."""
         number = {name: index for index, name in enumerate(self.names)}
         return np.array([number.get(str(name), -1) for name in boxes.label], dtype=np.int64)
+
+    def inside(self, boxes: Boxes) -> Int[np.ndarray, " k"]:
+        """Flat indices of all anchors whose cell reaches into one of the boxes, seen from above, shape (k,)."""
+        x = self.step_m[0] * np.arange(self.nx) + self.first_m[0]
+        y = self.step_m[1] * np.arange(self.ny) + self.first_m[1]
+        cells = [np.zeros(0, dtype=np.int64)]
+        for centre, size, yaw in zip(boxes.centre_m, boxes.size_m, boxes.yaw_rad, strict=True):
+            half = size[:2] / 2 + self.step_m.max() / 2
+            reach = np.hypot(*half)
+            ix, iy = np.flatnonzero(np.abs(x - centre[0]) <= reach), np.flatnonzero(np.abs(y - centre[1]) <= reach)
+            away_x, away_y = x[ix, None] - centre[0], y[None, iy] - centre[1]
+            along = np.abs(away_x * np.cos(yaw) + away_y * np.sin(yaw))
+            across = np.abs(away_y * np.cos(yaw) - away_x * np.sin(yaw))
+            row, column = np.nonzero((along <= half[0]) & (across <= half[1]))
+            cells.append(ix[row] * self.ny + iy[column])
+        return (np.unique(np.concatenate(cells))[:, None] * self.per_cell + np.arange(self.per_cell)).ravel()
 
     def targets(
         self,
@@ -313,19 +332,22 @@ class AnchorAssigner:
         matching: By the distance of their cells from a box's centre, or by overlap with it.
         positive_m: With ``"distance"``, cells this near to a centre are positive.
         ignore_m: With ``"distance"``, cells this near are ignored where they are not positive.
-        far_weight: Extra weight of a box per 100 m of range.
+        weights: Weight of a box in the loss.
     """
 
     grid: AnchorGrid
     matching: Literal["distance", "iou"] = "distance"
     positive_m: float = 1.0
     ignore_m: float = 2.0
-    far_weight: float = 0.0
+    weights: BoxWeights = ALIKE
 
     def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> AnchorTargets:
-        """Targets of one frame; its points are not looked at."""
-        del inputs
-        weights = range_weights(boxes, self.far_weight)
+        """Targets of one frame: anchors in boxes of the class ``unsure`` are ignored where no box has them."""
+        unsure = np.asarray(boxes.label) == UNSURE
+        objects = boxes[~unsure]
+        weights = self.weights(objects, inputs)
         if self.matching == "iou":
-            return match_by_overlap(self.grid, boxes, weights=weights)
-        return self.grid.assign(boxes, positive_m=self.positive_m, ignore_m=self.ignore_m, weights=weights)
+            targets = match_by_overlap(self.grid, objects, weights=weights)
+        else:
+            targets = self.grid.assign(objects, positive_m=self.positive_m, ignore_m=self.ignore_m, weights=weights)
+        return targets.ignoring_anchors(self.grid.inside(boxes[unsure])) if unsure.any() else targets

@@ -22,7 +22,7 @@ from farfield.detectors.anchors.grid import (
     AnchorTargets,
     cirrus_anchors,
 )
-from farfield.detectors.config import DetectorConfig
+from farfield.detectors.config import BoxWeights, DetectorConfig
 from farfield.detectors.devices import constant, kernels_for
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import box_loss, direction_loss, focal_loss, normaliser
@@ -87,7 +87,7 @@ class AnchorHead(nn.Conv2d):
             matching=config.matching,
             positive_m=config.positive_m,
             ignore_m=config.ignore_m,
-            far_weight=config.far_weight,
+            weights=BoxWeights.of(config),
         )
         self._start_unsure()
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.anchors.grid import AnchorGrid
-from farfield.detectors.config import range_weights
+from farfield.detectors.config import ALIKE, BoxWeights
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import at_least_single, normaliser
 from farfield.detectors.network import AnchorRow, ClassRows
@@ -67,21 +67,20 @@ class BoxesOnGrid:
 
     Args:
         grid: The anchors.
-        far_weight: Extra weight of a box per 100 m of range.
+        weights: Weight of a box in the loss.
     """
 
     grid: AnchorGrid
-    far_weight: float = 0.0
+    weights: BoxWeights = ALIKE
 
     def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> BoxTargets:
-        """Targets of one frame; its points are not looked at."""
-        del inputs
+        """Targets of one frame."""
         grid = self.grid
         kind = grid.kinds(boxes)
         column, row = np.floor((boxes.centre_m[:, :2] - grid.first_m) / grid.step_m + 0.5).T
         in_grid = (kind >= 0) & (column >= 0) & (column < grid.nx) & (row >= 0) & (row < grid.ny)
         rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])
-        return BoxTargets(rows[in_grid], kind[in_grid], range_weights(boxes, self.far_weight)[in_grid])
+        return BoxTargets(rows[in_grid], kind[in_grid], self.weights(boxes[in_grid], inputs))
 
 
 class ProposalMatches(NamedTuple):
@@ -163,7 +162,7 @@ class SoftmaxHead(nn.Module):
     def __init__(self, config: Any, c_in: int, grid: AnchorGrid, *, proposals: Literal["predicted", "anchors"]) -> None:
         super().__init__()
         self.config, self.anchors, self.proposals = config, grid, proposals
-        self.assigner = BoxesOnGrid(grid=grid, far_weight=config.far_weight)
+        self.assigner = BoxesOnGrid(grid=grid, weights=BoxWeights.of(config))
         self.classes = nn.Conv2d(c_in, 1 + grid.per_cell, 1)
         self.boxes_of_anchors = nn.Conv2d(c_in, _NUMBERS * grid.per_cell, 1)
         if not self.classes.weight.is_meta:

@@ -8,6 +8,7 @@ expect.
 """
 
 from collections.abc import Mapping, Sequence
+from math import prod
 from types import ModuleType
 from typing import Annotated, ClassVar, Literal
 
@@ -18,7 +19,7 @@ from torch import Tensor, nn
 
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
-from farfield.detectors.config import Channels, GridConfig
+from farfield.detectors.config import MAX_IMAGE_NUMBERS, Channels, GridConfig, check_blocks
 from farfield.detectors.devices import constant, kernels_for
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput, Positions, features_of, stacked
@@ -56,6 +57,11 @@ class PointPillarsConfig(AnchorHeadConfig):
 
     @model_validator(mode="after")
     def _one_set_of_features(self) -> "PointPillarsConfig":
+        check_blocks(self.widths, self.depths, self.strides, self.out_stride)
+        nx, ny = self.grid.shape(max(prod(self.strides), self.out_stride))
+        if nx * ny * self.pillar_channels > MAX_IMAGE_NUMBERS:
+            numbers = f"{nx} x {ny} pillars of {self.pillar_channels}"
+            raise ValueError(f"expected an image of at most {MAX_IMAGE_NUMBERS:,} numbers, got {numbers}")
         if self.features == "farfield" and self.max_points:
             raise ValueError("expected max_points with features: openpcdet only; farfield's features count all points")
         if self.features == "openpcdet" and (self.use_intensity or self.use_lag):
@@ -229,10 +235,11 @@ class PillarEncoder(nn.Module):
         The first three are those of the paper, scaled to the grid; the fourth (logarithm) takes the role of intensity.
         """
         xyz = points[:, :3]
-        ones = xyz.new_ones(len(xyz), 1)
-        sums = xyz.new_zeros(pillar_count, 4).index_add(0, member, torch.cat([xyz, ones], 1))
-        count = sums[:, 3:]
-        to_mean = xyz - (sums[:, :3] / count)[member]
+        # Sums of float32 numbers near one another are exact in float64: then the order of the points does not matter.
+        exact = torch.cat([xyz, xyz.new_ones(len(xyz), 1)], 1).double()
+        sums = exact.new_zeros(pillar_count, 4).index_add(0, member, exact)
+        count = sums[:, 3:].to(xyz.dtype)
+        to_mean = xyz - (sums[:, :3] / sums[:, 3:]).to(xyz.dtype)[member]
         iy, ix = key % self.ny, torch.div(key, self.ny, rounding_mode="floor") % self.nx
         centre = torch.stack([(ix + 0.5) * self.grid.cell_m, (iy + 0.5) * self.grid.cell_m + self.y_min_m], 1)
         to_centre = (xyz[:, :2] - centre) / self.grid.cell_m
@@ -315,7 +322,8 @@ class OpenPCDetPillarEncoder(nn.Module):
 
     def _describe(self, points: Tensor, key: Tensor, member: Tensor, count: Tensor) -> Tensor:
         xyz, grid = points[:, :3], self.grid
-        mean = xyz.new_zeros(len(count), 3).index_add(0, member, xyz) / count[:, None]
+        sums = xyz.new_zeros(len(count), 3, dtype=torch.float64).index_add(0, member, xyz.double())
+        mean = (sums / count[:, None]).to(xyz.dtype)
         iy, ix = key % self.ny, torch.div(key, self.ny, rounding_mode="floor") % self.nx
         height = xyz.new_full((len(key),), (grid.z_min_m + grid.z_max_m) / 2)
         across = (iy + 0.5) * grid.cell_m + self.y_min_m

@@ -7,21 +7,22 @@ stage that is a point (not turned) with the mean size of its class, at the secon
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 from torch.nn import functional
 
-from farfield.detectors.config import range_weights
+from farfield.detectors.config import ALIKE, BoxWeights
 from farfield.detectors.nms import surviving_boxes
 from farfield.detectors.pointrcnn.points import BandConfig, first_of_bands
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.iou import pairwise_iou
+from farfield.vocabulary.classes import UNSURE
 
 
 class BinConfig(BaseModel):
@@ -280,7 +281,7 @@ def draw_proposals(match: Match, config: MatchConfig, rng: np.random.Generator) 
 
 # Which point belongs to which annotated box: what the first stage of a point-based detector learns.
 
-BACKGROUND, UNSURE = -1, -2
+BACKGROUND, UNSURE_POINT = -1, -2
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,12 +293,14 @@ class PointTargets:
         kind: Class number of each, shape (k,).
         weight: Weight of each in the loss, shape (k,).
         owner: Box that each point of the cloud lies in, -1 for background, -2 just outside a box, shape (n,).
+        unsure: Boxes in which nothing is background, rows as of the annotated ones, shape (u, 7).
     """
 
     rows: Float32[np.ndarray, "k 7"]
     kind: Int[np.ndarray, " k"]
     weight: Float[np.ndarray, " k"]
     owner: Int[np.ndarray, " n"]
+    unsure: Float32[np.ndarray, "u 7"] = field(default_factory=lambda: np.zeros((0, 7), dtype=np.float32))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -308,19 +311,23 @@ class PointAssigner:
         class_names: Names by class number.
         margin_m: Boxes grow by this before they claim points.
         unsure_m: Points this far outside count neither as box nor as background.
-        far_weight: Extra weight of a box per 100 m of range.
+        weights: Weight of a box in the loss.
     """
 
     class_names: tuple[str, ...]
     margin_m: float
     unsure_m: float
-    far_weight: float = 0.0
+    weights: BoxWeights = ALIKE
 
     def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> PointTargets:
-        """Targets of one frame, from its points."""
-        weight = range_weights(boxes, self.far_weight)
+        """Targets of one frame, from its points: those in boxes of the class ``unsure`` are no background."""
+        unsure = np.asarray(boxes.label) == UNSURE
+        objects, points = boxes[~unsure], inputs["points"]
         margins = {"margin_m": self.margin_m, "unsure_m": self.unsure_m}
-        return assign_points(boxes, inputs["points"], self.class_names, weight=weight, **margins)
+        targets = assign_points(objects, points, self.class_names, weight=self.weights(objects, inputs), **margins)
+        for inside in points_in_boxes(points[:, :3], boxes[unsure]) if unsure.any() else ():
+            targets.owner[inside[targets.owner[inside] == BACKGROUND]] = UNSURE_POINT
+        return replace(targets, unsure=_rows(boxes[unsure]))
 
 
 def assign_points(
@@ -345,13 +352,25 @@ def assign_points(
     owner = np.full(len(points), BACKGROUND, dtype=np.int64)
     largest_first = np.argsort(-boxes.volume_m3, kind="stable")
     for inside in points_in_boxes(points[:, :3], boxes, margin_m=margin_m + unsure_m):
-        owner[inside] = UNSURE
+        owner[inside] = UNSURE_POINT
     claimed = points_in_boxes(points[:, :3], boxes, margin_m=margin_m)
     for index in largest_first:
         owner[claimed[index]] = index
     kind = np.array([list(class_names).index(str(name)) for name in boxes.label], dtype=np.int64)
-    rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).astype(np.float32)
-    return PointTargets(rows, kind, weight, owner)
+    return PointTargets(_rows(boxes), kind, weight, owner)
+
+
+def _rows(boxes: Boxes) -> Float32[np.ndarray, "n 7"]:
+    return np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).astype(np.float32)
+
+
+def centres_in(rows: Float[np.ndarray, "n 7"], unsure: Float[np.ndarray, "u 7"]) -> Bool[np.ndarray, " n"]:
+    """Which boxes have their centre in one of others, seen from above, shape (n,)."""
+    away = rows[:, None, :2] - unsure[None, :, :2]
+    cos, sin = np.cos(unsure[:, 6]), np.sin(unsure[:, 6])
+    along, across = away[..., 0] * cos + away[..., 1] * sin, away[..., 1] * cos - away[..., 0] * sin
+    inside = (np.abs(along) <= unsure[:, 3] / 2) & (np.abs(across) <= unsure[:, 4] / 2)
+    return np.asarray(inside.any(axis=1))
 
 
 def join_targets(targets: Sequence[PointTargets], device: torch.device) -> tuple[Tensor, Tensor, Tensor]:

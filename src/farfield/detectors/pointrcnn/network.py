@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from farfield.detectors.config import Channels, DetectorConfig
+from farfield.detectors.config import BoxWeights, Channels, DetectorConfig
 from farfield.detectors.devices import constant
 from farfield.detectors.features import PointFeatures, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput
@@ -26,13 +26,14 @@ from farfield.detectors.losses import focal_loss, normaliser, sum_over_processes
 from farfield.detectors.network import ClassRows, InputColumns, Network
 from farfield.detectors.nms import boxes_after_nms
 from farfield.detectors.pointrcnn.boxes import (
-    UNSURE,
+    UNSURE_POINT,
     BinCoder,
     BinConfig,
     MatchConfig,
     PointAssigner,
     PointTargets,
     ProposalConfig,
+    centres_in,
     draw_proposals,
     first_candidates,
     join_targets,
@@ -257,7 +258,7 @@ class PointRCNN(Network):
             class_names=config.class_names,
             margin_m=config.foreground_margin_m,
             unsure_m=config.unsure_margin_m,
-            far_weight=config.far_weight,
+            weights=BoxWeights.of(config),
         )
 
     def class_rows(self) -> ClassRows:
@@ -381,7 +382,7 @@ class PointRCNN(Network):
     def _first_loss(self, outputs: Stages, targets: Sequence[PointTargets]) -> tuple[Tensor, Tensor]:
         owner = owners_of(targets, outputs.rows, outputs.lengths.tolist())
         boxes, kind, weight = join_targets(targets, outputs.xyz.device)
-        positive, unsure = torch.nonzero(owner >= 0)[:, 0], torch.nonzero(owner == UNSURE)[:, 0]
+        positive, unsure = torch.nonzero(owner >= 0)[:, 0], torch.nonzero(owner == UNSURE_POINT)[:, 0]
         box, classes = owner[positive], len(self.config.sizes_m)
         count = torch.bincount(box, minlength=len(boxes)).float()[box]
         mean = sum_over_processes(count.sum()) / sum_over_processes(count.new_tensor(float(len(count)))).clamp(min=1)
@@ -400,8 +401,10 @@ class PointRCNN(Network):
         boxes, kind, weight = join_targets(targets, device)
         parts, first = [], 0
         for target, rows in zip(targets, outputs.proposals.split(outputs.proposal_lengths.tolist()), strict=True):
-            match = match_proposals(rows.cpu().numpy(), target.rows)
-            parts.append((match.box + first, match.right(config), match.wrong(config), match.refined(config)))
+            boxes_of_frame = rows.cpu().numpy()
+            match = match_proposals(boxes_of_frame, target.rows)
+            wrong = match.wrong(config) & ~centres_in(boxes_of_frame, target.unsure)
+            parts.append((match.box + first, match.right(config), wrong, match.refined(config)))
             first += len(target.rows)
         box, right, wrong, refined = (
             torch.from_numpy(np.concatenate(part)).to(device) for part in zip(*parts, strict=True)

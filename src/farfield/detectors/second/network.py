@@ -17,7 +17,7 @@ from torch import Tensor
 
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
-from farfield.detectors.config import OLD_NAMES, Channels, VoxelGridConfig
+from farfield.detectors.config import OLD_NAMES, Channels, VoxelGridConfig, check_blocks
 from farfield.detectors.features import FeatureMap
 from farfield.detectors.inputs import POSITION, CloudInput, Positions
 from farfield.detectors.layers import BevBackbone, use_openpcdet_momentum
@@ -57,6 +57,7 @@ class SecondConfig(AnchorHeadConfig):
 
     @model_validator(mode="after")
     def _grid_suits(self) -> "SecondConfig":
+        check_blocks(self.widths, self.depths, self.strides, self.out_stride)
         if self.grid.cell_m[0] != self.grid.cell_m[1]:
             raise ValueError(f"expected voxels as long as wide, got {self.grid.cell_m}: the anchors' cells are square")
         if folded_layers(self.grid.shape(1)[0]) < 1:

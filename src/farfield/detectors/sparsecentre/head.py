@@ -6,7 +6,7 @@ cells.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import NamedTuple, cast
 
@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from farfield.detectors.anchors.head import logit
-from farfield.detectors.config import DetectorConfig, range_weights
+from farfield.detectors.config import ALIKE, BoxWeights, DetectorConfig
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.losses import normaliser
 from farfield.detectors.network import ClassRows
@@ -26,7 +26,7 @@ from farfield.detectors.nms import boxes_after_nms, rotated_nms, wrap_angle
 from farfield.detectors.sparse import FLAT, SparseTensor, SubmanifoldConv, decode_keys, neighbour_table, normalised
 from farfield.detectors.sparse.tables import DeviceBook
 from farfield.geometry.boxes import Boxes
-from farfield.vocabulary.classes import CIRRUS_SIZES_M
+from farfield.vocabulary.classes import CIRRUS_SIZES_M, UNSURE
 
 _NUMBERS = 10  # offset 2, height, log size 3, sine and cosine of twice the yaw, sine and cosine of the yaw
 _LOG_SIZE = (float(np.log(0.05)), float(np.log(40.0)))
@@ -42,6 +42,7 @@ class CentreTargets:
         yaw_rad: Headings, shape (n,).
         kind: Numbers of the classes, shape (n,).
         weight: Weight of each box in the loss, shape (n,).
+        unsure: Rectangles x, y, length, width, yaw in which nothing is background, shape (u, 5).
     """
 
     centre_m: Float[np.ndarray, "n 3"]
@@ -49,6 +50,7 @@ class CentreTargets:
     yaw_rad: Float[np.ndarray, " n"]
     kind: Int[np.ndarray, " n"]
     weight: Float[np.ndarray, " n"]
+    unsure: Float[np.ndarray, "u 5"] = field(default_factory=lambda: np.zeros((0, 5)))
 
     def ignoring(self, unsure: "CentreTargets") -> "CentreTargets":
         """These targets and, with no weight, those of unsure boxes: near them hardly anything is background.
@@ -62,6 +64,7 @@ class CentreTargets:
             np.concatenate([self.yaw_rad, unsure.yaw_rad]),
             np.concatenate([self.kind, unsure.kind]),
             np.concatenate([self.weight, np.zeros_like(unsure.weight)]),
+            np.concatenate([self.unsure, unsure.unsure]),
         )
 
 
@@ -74,29 +77,29 @@ class BoxesOfClasses:
         shape: Cells of the map along x and y.
         cell_m: Edge length of a cell.
         y_min_m: Right edge of the map.
-        far_weight: Extra weight of a box per 100 m of range.
+        weights: Weight of a box in the loss.
     """
 
     classes: tuple[str, ...]
     shape: tuple[int, int]
     cell_m: float
     y_min_m: float
-    far_weight: float = 0.0
+    weights: BoxWeights = ALIKE
 
     def __call__(self, boxes: Boxes, inputs: Mapping[str, np.ndarray]) -> CentreTargets:
-        """Targets of one frame; its points are not looked at."""
-        del inputs
+        """Targets of one frame; in boxes of the class ``unsure`` nothing is background."""
         names, (nx, ny) = self.classes, self.shape
         kind = np.array([names.index(name) if name in names else -1 for name in boxes.label], dtype=np.int64)
         x, y = boxes.centre_m[:, 0], boxes.centre_m[:, 1] - self.y_min_m
         on_map = (kind >= 0) & (x >= 0) & (x < nx * self.cell_m) & (y >= 0) & (y < ny * self.cell_m)
-        on_map_boxes = boxes[on_map]
+        on_map_boxes, unsure = boxes[on_map], boxes[np.asarray(boxes.label) == UNSURE]
         return CentreTargets(
             on_map_boxes.centre_m,
             on_map_boxes.size_m,
             on_map_boxes.yaw_rad,
             kind[on_map],
-            range_weights(on_map_boxes, self.far_weight),
+            self.weights(on_map_boxes, inputs),
+            np.column_stack([unsure.centre_m[:, :2], unsure.size_m[:, :2], unsure.yaw_rad]),
         )
 
 
@@ -186,7 +189,17 @@ def heat_loss(logits: Tensor, heat: Tensor, weight: Tensor) -> Tensor:
     return (as_positive + torch.where(weight > 0, 0.0, as_negative)).sum()
 
 
-def vote_loss(votes: Tensor, place_m: Tensor, truth: BoxTensors, cell_m: float) -> tuple[Tensor, Tensor]:
+def in_rectangles(place_m: Tensor, rectangles: Tensor) -> Tensor:
+    """Whether each place, shape (n, 2), lies in one of some rectangles x, y, length, width, yaw, shape (u, 5)."""
+    away = place_m[:, None] - rectangles[None, :, :2]
+    cos, sin = torch.cos(rectangles[:, 4]), torch.sin(rectangles[:, 4])
+    local = torch.stack([away[..., 0] * cos + away[..., 1] * sin, away[..., 1] * cos - away[..., 0] * sin], 2)
+    return (local.abs() <= rectangles[:, 2:4] / 2).all(2).any(1)
+
+
+def vote_loss(
+    votes: Tensor, place_m: Tensor, truth: BoxTensors, cell_m: float, unsure: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """Focal loss on the foreground and smooth L1 on the step to the centre, summed; each box counts the same.
 
     A cell is foreground where its centre lies in a box that is half a cell larger on every side.
@@ -196,6 +209,7 @@ def vote_loss(votes: Tensor, place_m: Tensor, truth: BoxTensors, cell_m: float) 
         place_m: Centres of the cells, shape (n, 2).
         truth: The boxes.
         cell_m: Edge length of a cell.
+        unsure: Cells that are no background where they are no foreground, shape (n,).
     """
     votes, count = votes.float(), len(truth.kind)
     away = place_m[:, None] - truth.centre_m[None, :, :2]
@@ -208,6 +222,7 @@ def vote_loss(votes: Tensor, place_m: Tensor, truth: BoxTensors, cell_m: float) 
     weight = (truth.weight / torch.bincount(box, minlength=count).clamp(min=1))[box]
     logits, right = votes[:, 0], votes[cell, 0]
     negative = torch.sigmoid(logits) ** 2 * functional.softplus(logits)
+    negative = negative if unsure is None else torch.where(unsure, 0.0, negative)
     positive = weight * torch.sigmoid(-right) ** 2 * functional.softplus(-right)
     step = -away[cell, box] / cell_m
     error = functional.smooth_l1_loss(votes[cell, 1:], step, beta=1 / 9, reduction="none").sum(1)
@@ -308,7 +323,7 @@ class CentreHead(nn.Module):
         super().__init__()
         self.config, self.shape, self.cell_m, self.y_min_m = config, shape, cell_m, y_min_m
         self.assigner = BoxesOfClasses(
-            classes=config.classes, shape=shape, cell_m=cell_m, y_min_m=y_min_m, far_weight=config.far_weight
+            classes=config.classes, shape=shape, cell_m=cell_m, y_min_m=y_min_m, weights=BoxWeights.of(config)
         )
         self.heat_stem = normalised(SubmanifoldConv(channels, channels, FLAT))
         self.box_stem = normalised(SubmanifoldConv(channels, channels, FLAT))
@@ -367,7 +382,9 @@ class CentreHead(nn.Module):
             assign_m=config.assign_m,
             box_m=config.box_m,
         )
-        heat = heat_loss(maps.logits[rows], assigned.heat, assigned.heat_weight)
+        rectangles = torch.from_numpy(target.unsure).to(place_m)
+        unsure = in_rectangles(place_m[rows], rectangles)[:, None]  # full heat without a weight has no loss
+        heat = heat_loss(maps.logits[rows], torch.where(unsure, 1.0, assigned.heat), assigned.heat_weight)
         expected = encode(
             truth, assigned.box, place_m[rows[assigned.cell]], maps.height_m[rows[assigned.cell]], self.cell_m
         )
@@ -377,7 +394,8 @@ class CentreHead(nn.Module):
         error = error[:, :8].sum(1) + config.direction_weight * error[:, 8:].sum(1)
         frame, place_m = self.places_m(maps.vote_keys)
         rows = (frame == index).nonzero().squeeze(1)
-        foreground, vote = vote_loss(maps.votes[rows], place_m[rows], truth, self.cell_m)
+        unsure = in_rectangles(place_m[rows], rectangles)
+        foreground, vote = vote_loss(maps.votes[rows], place_m[rows], truth, self.cell_m, unsure)
         return (
             heat,
             config.box_weight * (error * assigned.weight).sum(),

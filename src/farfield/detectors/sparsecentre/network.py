@@ -83,9 +83,9 @@ class SparseCentreConfig(CentreHeadConfig):
 
     @model_validator(mode="after")
     def _strides_fit(self) -> "SparseCentreConfig":
-        layers = self.grid.shape(self.multiple)[0]
         if not 1 <= len(self.widths) == len(self.depths) <= 5 or not 1 <= len(self.pyramid_widths) <= 6:
             raise ValueError("expected 1 to 5 widths, as many depths, and 1 to 6 pyramid_widths")
+        layers = self.grid.shape(self.multiple)[0]
         if layers % self.map_stride:
             raise ValueError(f"expected voxel layers that {self.map_stride} divides, got {layers}: set extra_layers")
         if self.grid.cell_m[0] != self.grid.cell_m[1]:

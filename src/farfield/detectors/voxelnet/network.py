@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from farfield.detectors.anchors.grid import AnchorGrid
 from farfield.detectors.anchors.head import AnchorHead, AnchorHeadConfig
-from farfield.detectors.config import OLD_NAMES, Channels, VoxelGridConfig
+from farfield.detectors.config import OLD_NAMES, Channels, VoxelGridConfig, check_blocks
 from farfield.detectors.features import FeatureMap, in_type_of
 from farfield.detectors.inputs import POSITION, CloudInput, Positions, features_of, stacked
 from farfield.detectors.layers import BevBackbone, fold_linear
@@ -59,6 +59,7 @@ class VoxelNetConfig(AnchorHeadConfig):
 
     @model_validator(mode="after")
     def _fits(self) -> "VoxelNetConfig":
+        check_blocks(self.widths, self.depths, self.strides, self.out_stride)
         dx, dy, _ = self.grid.cell_m
         if dx != dy:
             raise ValueError(f"expected voxels as long as wide, got {dx} m x {dy} m")

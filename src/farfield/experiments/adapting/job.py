@@ -3,14 +3,12 @@
 The order of work: look at the detector and at one target frame; source frames, simulated if need be; thresholds from
 the source's scores; search of the target; rounds of training, each with a fixed last step; search; weights and page.
 What is done stays in the folder, so that the same command goes on where it was killed, to the same bits. Labels of
-the target, if there are any, decide nothing.
+the target decide nothing, but for those of a few sweeps that the user names to learn from.
 """
 
 import json
-import re
-import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -19,12 +17,16 @@ from typing import Any
 from farfield.adaptation.failure_modes import diagnose_log
 from farfield.adaptation.pseudo_labels import check_ignores
 from farfield.datasets import Dataset, open_dataset
+from farfield.datasets.joined import joined
 from farfield.datasets.maps import WholeBodies
 from farfield.detectors.runtime import Detector
 from farfield.detectors.weights import load_weights, save_weights
 from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation import as_trained, detect, suitable_clouds
 from farfield.evaluation.leakage import digests_text
+from farfield.experiments.adapting.donors import check_donors, donor_frames
+from farfield.experiments.adapting.folder import PAGE, SCORES, WEIGHTS, check_folder, clear
+from farfield.experiments.adapting.labelled import LabelledSweeps, labelled_sweeps
 from farfield.experiments.adapting.options import (
     THRESHOLDS,
     AdaptationOptions,
@@ -46,21 +48,20 @@ from farfield.experiments.adapting.rounds import (
     steps_wanted,
 )
 from farfield.experiments.adapting.source import FOLDER, TrainingHistory, learnt_by, simulation_of, source_frames
-from farfield.experiments.frames import spread
+from farfield.experiments.frames import spread, without
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
 from farfield.files.sizes import sized
 from farfield.jobs import JobOptions
+from farfield.jobs.folders import held
 from farfield.metrics.detections import Detections
 from farfield.metrics.score_calibration import thresholds_of
 from farfield.pages.training_pages import HeldScores
 from farfield.simulation.recording.frames import bytes_needed
 from farfield.simulation.recording.recorder import planned_recording
 from farfield.training.report import TrainingReport
-
-WEIGHTS, PAGE, SCORES = "weights.safetensors", "report.html", "scores.json"
-_OURS = re.compile(rf"{THRESHOLDS}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
+from farfield.vocabulary.counts import count_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,11 +91,12 @@ class AdaptationResult:
 
 def adapt(
     detector: str | Path,
-    data: Path | str | Dataset,
+    data: Path | str | Dataset | Sequence[Path | str],
     *,
     out: Path | str,
     source: Path | str | None = None,
     labels: Path | str | Dataset | None = None,
+    learn_from: Path | str | Dataset | None = None,
     bulk: JobOptions | None = None,
     report: TrainingReport | None = None,
     overwrite: bool = False,
@@ -104,12 +106,16 @@ def adapt(
 
     Args:
         detector: A bundled detector's name, a run's folder or a weights file.
-        data: The sweeps: a data set's folder, or one that is open. Annotations are not looked at.
+        data: The sweeps: a data set's folder, or one that is open, or the folders of several drives. Annotations are
+            not looked at.
         out: Folder of the adaptation; called again with the same arguments, it goes on there.
         source: Labelled frames like those that the detector learnt from; by default they are simulated, from the preset
             that the weights' provenance names, without camera.
         labels: Labelled frames on which the detector is scored before and after, at the end: they decide nothing. Those
             that are learnt from do not count, so that the sweeps' own data set may be named.
+        learn_from: Labels of a few of the user's sweeps, which teach: a data set with annotated frames, the sweeps' own
+            among them, or its folder; or a table of boxes or a folder of ``FRAME.json`` of frames of ``data``. All
+            other sweeps teach by pseudo boxes.
         bulk: Who detects; this process unless given.
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
@@ -117,25 +123,27 @@ def adapt(
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no
-            cloud suits the detector, the folder holds something else, or no labelled frame is left to score on.
-        DatasetError: If there are no frames.
+            cloud suits the detector, the folder holds something else, no labelled frame is left to score on, or a
+            frame is among ``labels`` and among ``learn_from``.
+        DatasetError: If there are no frames, all are labelled, or the labels that are to teach cannot.
         FarfieldError: If there are no such weights, or a round yields no pseudo box.
     """
     folder = Path(out)
-    job = _job(detector, data, folder, source, labels, bulk, report, choices)
-    folder.mkdir(parents=True, exist_ok=True)
-    if overwrite:
-        clear(folder)
-    return job.run()
+    job = _job(detector, data, folder, source, labels, learn_from, bulk, report, choices)
+    with held(folder):
+        if overwrite:
+            clear(folder)
+        return job.run()
 
 
 def dry_run(
     detector: str | Path,
-    data: Path | str | Dataset,
+    data: Path | str | Dataset | Sequence[Path | str],
     *,
     out: Path | str,
     source: Path | str | None = None,
     labels: Path | str | Dataset | None = None,
+    learn_from: Path | str | Dataset | None = None,
     **choices: Any,
 ) -> list[str]:
     """What :func:`adapt` would do, in lines, checked as far as it is before anything is written; writes nothing.
@@ -146,20 +154,22 @@ def dry_run(
         out: Folder of the adaptation.
         source: Labelled frames.
         labels: Labelled frames to score on.
+        learn_from: Labels that teach.
         **choices: See :class:`~farfield.experiments.adapting.options.AdaptationOptions`.
 
     Raises:
         ConfigError, DatasetError, FarfieldError: As ``adapt`` before it begins.
     """
-    return _job(detector, data, Path(out), source, labels, None, None, choices).dry_run()
+    return _job(detector, data, Path(out), source, labels, learn_from, None, None, choices).dry_run()
 
 
 def _job(
     detector: str | Path,
-    data: Path | str | Dataset,
+    data: Path | str | Dataset | Sequence[Path | str],
     folder: Path,
     source: Path | str | None,
     labels: Path | str | Dataset | None,
+    learn_from: Path | str | Dataset | None,
     bulk: JobOptions | None,
     report: TrainingReport | None,
     choices: Mapping[str, Any],
@@ -169,43 +179,25 @@ def _job(
     job = AdaptationJob(
         start=str(detector),
         labelled_source=None if source is None else Path(source),
-        data=data if isinstance(data, Dataset) else open_dataset(data),
+        data=_opened(data),
         folder=folder,
         choices=options_of(choices),
         bulk=bulk or JobOptions(),
         report=report or TrainingReport(),
         began=began,
         labels=labels if labels is None or isinstance(labels, Dataset) else open_dataset(labels),
+        learn_from=learn_from,
     )
     check_folder(folder)
     job.check()
     return job
 
 
-def clear(folder: Path) -> None:
-    """Remove what an adaptation left in its folder, but not the source frames that it simulated."""
-    for path in folder.iterdir():
-        if path.is_file():
-            path.unlink()
-        elif path.name != FOLDER:
-            shutil.rmtree(path)
-
-
-def check_folder(folder: Path) -> None:
-    """See that a folder is an adaptation's, or empty, or absent: nothing else is written over or removed.
-
-    Raises:
-        ConfigError: If it holds something else.
-    """
-    names = {path.name for path in folder.iterdir()} if folder.exists() else set()
-    strange = sorted(name for name in names if not _OURS.fullmatch(name))
-    if WEIGHTS in names and THRESHOLDS not in names:
-        strange.append(WEIGHTS)
-    if strange:
-        raise ConfigError(
-            f"{folder}: expected an empty or absent folder, or one that farfield adapt began; it holds "
-            f"{', '.join(strange[:4])}. Name another folder with --out."
-        )
+def _opened(data: Path | str | Dataset | Sequence[Path | str]) -> Dataset:
+    """The sweeps, of one data set or of several."""
+    if isinstance(data, Dataset):
+        return data
+    return joined([open_dataset(folder) for folder in ([data] if isinstance(data, Path | str) else data)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,6 +214,7 @@ class AdaptationJob:
         report: Is informed.
         began: ``time.monotonic()`` at the beginning.
         labels: Labelled frames on which to score before and after in the end; None for none.
+        learn_from: Labels of some of the sweeps, which teach; None for none.
     """
 
     start: str
@@ -233,11 +226,12 @@ class AdaptationJob:
     report: TrainingReport
     began: float
     labels: Dataset | None = None
+    learn_from: Path | str | Dataset | None = None
 
     @cached_property
     def detector(self) -> Detector:
-        """The detector that is adapted."""
-        return Detector.load(self.start)
+        """The detector that is adapted; thresholds and teacher go by the network's own scores."""
+        return Detector.load(self.start, calibrated=False)
 
     @cached_property
     def learnt(self) -> TrainingHistory:
@@ -250,12 +244,34 @@ class AdaptationJob:
         if not len(self.data):
             raise DatasetError(f"{self.data.root}: expected frames to adapt to, found none.")
         frames: Dataset = as_trained(self.data, self.detector.info)
+        if self.labelled is not None:
+            frames = without(frames, self.labelled.frames)
+            if not len(frames):
+                raise DatasetError(
+                    f"{self.data.root}: expected sweeps without labels beside those of --learn-from; all "
+                    f"{count_of(len(self.data), 'sweep')} are labelled. To learn from labels alone: farfield train, "
+                    "with training.start"
+                )
         frames = frames.select(spread(len(frames), self.choices.frames))
         clouds = self.choices.clouds or suitable_clouds(self.detector.info, frames[0])[:1]
         options = dict(self.data.options)
         if self.detector.reference in (*frames.references, frames[0].reference):
             options["reference"] = self.detector.reference
         return DataConfig(path=self.data.root, clouds=clouds, options=options), frames
+
+    @cached_property
+    def labelled(self) -> LabelledSweeps | None:
+        """The labelled sweeps that teach."""
+        if self.learn_from is None:
+            return None
+        return labelled_sweeps(
+            self.learn_from,
+            self.data,
+            self.detector,
+            self.learnt,
+            self.choices.clouds,
+            whole_bodies=self.choices.whole_bodies,
+        )
 
     @cached_property
     def source(self) -> tuple[DataConfig, Dataset]:
@@ -281,18 +297,31 @@ class AdaptationJob:
         """The labelled frames that are not learnt from."""
         if self.labels is None:
             return None
+        if self.labelled is not None:
+            self.labelled.check_apart(self.labels)
         bodies = self.choices.whole_bodies and WholeBodies().fits(self.labels.unwrapped)
         return held_frames(self.labels.mapped(WholeBodies()) if bodies else self.labels, self.target[1])
 
+    @cached_property
+    def donors(self) -> tuple[DataConfig, Dataset] | None:
+        """Settings and frames of the sweeps with simulated road users in them; their own labels are not looked at."""
+        if not self.choices.donors:
+            return None
+        return donor_frames(*self.target, copies=self.choices.donors, seed=self.choices.seed)
+
     @property
     def streams(self) -> dict[str, Dataset]:
-        """The frames of both streams."""
-        return {"source": self.source[1], "target": self.target[1]}
+        """The frames of all streams."""
+        labelled = {} if self.labelled is None else {"labels": self.labelled.frames}
+        donors = {} if self.donors is None else {"donors": self.donors[1]}
+        return {"source": self.source[1], "target": self.target[1], **labelled, **donors}
 
     @property
     def configs(self) -> dict[str, DataConfig]:
-        """The settings of both streams."""
-        return {"source": self.source[0], "target": self.target[0]}
+        """The settings of all streams."""
+        labelled = {} if self.labelled is None else {"labels": self.labelled.config}
+        donors = {} if self.donors is None else {"donors": self.donors[0]}
+        return {"source": self.source[0], "target": self.target[0], **labelled, **donors}
 
     def check(self) -> None:
         """Refuse what cannot be adapted, before anything is simulated or written."""
@@ -306,9 +335,14 @@ class AdaptationJob:
             simulation_of(self.learnt, self.choices.source_frames, self.choices.seed, self.start)
         elif self.choices.whole_bodies:
             _ = self.source  # tells them, or says that it does not
+        if self.labelled is not None:
+            for line in self.labelled.check(self.detector):
+                self.report.say(line)
         config, frames = self.target
         for cloud in config.clouds:
             self.detector.with_cloud(cloud)(frames[0])  # reads it, or says why it cannot
+        if self.donors is not None:
+            check_donors(self.donors[1], self.detector)
         if self.choices.minutes:
             self.check_time()
         if self.held is not None:
@@ -342,19 +376,25 @@ class AdaptationJob:
             simulation = simulation_of(self.learnt, choices.source_frames, choices.seed, self.start)
             recording = planned_recording(simulation, self.folder / FOLDER)
             most = sized(bytes_needed(recording, sum(recording.plan)))
-            source = f"{sum(recording.plan)} frames of {simulation.preset}, simulated, at most {most}"
-        searched = f"{len(self.target[1])} sweeps searched {choices.rounds + 1} times"
+            source = f"{count_of(sum(recording.plan), 'frame')} of {simulation.preset}, simulated, at most {most}"
+        searched = f"{count_of(len(self.target[1]), 'sweep')} searched {count_of(choices.rounds + 1, 'time')}"
         limit = f", or fewer: {choices.minutes:g} minutes" if choices.minutes else ""
-        return [f"source: {source}", f"{searched}, {choices.rounds} rounds of {steps} steps{limit}"]
+        labels = [] if self.labelled is None else self.labelled.check(self.detector)
+        rounds = f"{searched}, {choices.rounds} rounds of {count_of(steps, 'step')}{limit}"
+        donors = [] if self.donors is None else [f"donors: {count_of(len(self.donors[1]), 'frame')} made of the sweeps"]
+        return [f"source: {source}", *labels, *donors, rounds]
 
     def run(self) -> AdaptationResult:
         """Do all that is not done yet: thresholds, rounds of pseudo-labels and training, weights, scores, page."""
         # 1. Thresholds of the pseudo-labels, from the scores on labelled source frames
         calibration = self.calibrated()
         # 2. Rounds: the target is searched, and a student learns what its teacher detected
+        if self.labelled is not None and (contradiction := self.labelled.contradiction(self.source[1])):
+            self.report.say(contradiction)
         detections = [self.search(self.start, 0)]
         for number in range(1, self.choices.rounds + 1):
-            check_round(detections[-1].boxes, calibration, number, self.streams, self.clouds)
+            if self.labelled is None:  # else the labels teach, whatever the teacher finds
+                check_round(detections[-1].boxes, calibration, number, self.streams, self.clouds)
             self.say_round(number, detections[-1], calibration)
             detections.append(self.search(self.train(number, calibration, detections[-1]), number))
         self.say_round(0, detections[-1], calibration)
@@ -413,8 +453,9 @@ class AdaptationJob:
     def identity(self) -> dict[str, Any]:
         """All that decides the outcome, for those who go on."""
         config, choices = self.configs, self.choices.model_dump(mode="json")
-        if not self.choices.whole_bodies:  # earlier versions did not know it
-            del choices["whole_bodies"]
+        for name in ("whole_bodies", "donors"):  # earlier versions did not know them
+            if not choices[name]:
+                del choices[name]
         return {
             "detector": self.detector.digest(),
             "target": self.target[1].fingerprint(),
@@ -422,7 +463,15 @@ class AdaptationJob:
             "source_clouds": list(config["source"].clouds),
             **choices,
             "clouds": list(config["target"].clouds),
+            **self.identity_of_labels(),
         }
+
+    def identity_of_labels(self) -> dict[str, Any]:
+        """What of the labels that teach decides the outcome; nothing where there are none."""
+        if self.labelled is None:
+            return {}
+        frames = self.labelled.frames.fingerprint()
+        return {"labels": self.labelled.digest, "labelled": frames, "labelled_clouds": list(self.labelled.clouds)}
 
     def calibrated(self) -> CalibratedThresholds:
         """Thresholds and steps: as they were measured in the folder before, or measured now."""
@@ -460,7 +509,7 @@ class AdaptationJob:
         step_s = measured_step_s(experiment, self.streams, self.folder)
         left_s = 60 * self.choices.minutes - (time.monotonic() - self.began) - self.choices.rounds * search_s
         steps = steps_in(left_s, step_s, self.choices, calibration.steps)
-        self.report.say(f"a step takes {step_s:.2f} s: {self.choices.rounds} rounds of {steps} steps")
+        self.report.say(f"a step takes {step_s:.2f} s: {self.choices.rounds} rounds of {count_of(steps, 'step')}")
         return calibration.model_copy(update={"steps": steps, "step_s": step_s})
 
     def experiment(self, number: int, calibration: CalibratedThresholds, detections: Detections) -> Experiment:
@@ -519,12 +568,20 @@ class AdaptationJob:
     def export(self, calibration: CalibratedThresholds) -> Path:
         """Write the last round's weights with all that they come from."""
         network, provenance = load_weights(self.folder / f"round-{self.choices.rounds}" / WEIGHTS)
+        places = self.detector.info.open_places
         adapted = {
             "start": self.start,
             "start_digest": self.detector.digest(),
             "start_frame_digests": digests_text(self.detector.provenance),
+            "open_sweeps": None if places is None else list(places),
             "start_trained_on": self.detector.provenance.get("experiment", {}).get("data"),
             "target_fingerprint": calibration.settings["target"],
+            "sweeps": {
+                "labelled": 0 if self.labelled is None else len(self.labelled.frames),
+                "unlabelled": len(self.target[1]),
+                "drives": len({*self.target[1].sequences, *(self.labelled.frames.sequences if self.labelled else ())}),
+            },
+            "labels_digest": calibration.settings.get("labels", ""),
             "source_fingerprint": calibration.settings["source"],
             "choices": self.choices.model_dump(mode="json"),
             "positive": calibration.positive,

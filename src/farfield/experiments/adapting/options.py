@@ -5,10 +5,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.files.atomic import read_bytes, write_text
+from farfield.files.atomic import write_text
+from farfield.files.json_text import read_json
+from farfield.files.yaml_text import PlainSettings
 
 THRESHOLDS = "adaptation.json"
 _FIXED = ("method.start", "method.positive", "method.negative", "training.steps", "training.devices", "training.seed")
@@ -16,10 +18,8 @@ _OPEN = ("method.", "training.", "augmentation.")
 _LIMIT_BYTES = 1 << 24
 
 
-class AdaptationOptions(BaseModel):
+class AdaptationOptions(PlainSettings):
     """How to adapt; the defaults are ours, from what ST3D++ and mean teachers use."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     clouds: tuple[str, ...] = Field((), description="clouds of the target; by default the first that suits")
     frames: int = Field(400, ge=0, description="target frames at most, spread evenly; 0 takes all")
@@ -35,6 +35,12 @@ class AdaptationOptions(BaseModel):
     whole_bodies: bool = Field(
         False,
         description="learn boxes of whole bodies from the source's labels, where the detector's show visible parts",
+    )
+    donors: int = Field(
+        0,
+        ge=0,
+        le=1000,
+        description="copies of each sweep, at most 40,000 in all, in which simulated road users stand and teach",
     )
     seed: int = Field(0, ge=0)
 
@@ -71,10 +77,8 @@ def options_of(choices: Mapping[str, Any]) -> AdaptationOptions:
         raise ConfigError(f"adapt: {plain(error)}. It has: {', '.join(AdaptationOptions.model_fields)}.") from error
 
 
-class CalibratedThresholds(BaseModel):
+class CalibratedThresholds(PlainSettings):
     """What was measured before the first round, and holds for all of them."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     settings: dict[str, Any] = Field(description="detector, data and choices that it belongs to")
     positive: dict[str, float]
@@ -100,7 +104,7 @@ def load_thresholds(folder: Path, settings: Mapping[str, Any]) -> CalibratedThre
     if not path.is_file():
         return None
     try:
-        thresholds = CalibratedThresholds.model_validate_json(read_bytes(path, max_bytes=_LIMIT_BYTES))
+        thresholds = CalibratedThresholds.model_validate(read_json(path, max_bytes=_LIMIT_BYTES))
     except ValidationError as error:
         raise FileFormatError(
             path,

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.datasets import Dataset
+from farfield.datasets.joined import roots_of
 from farfield.errors import ConfigError
 from farfield.experiments.adapting.options import CalibratedThresholds
-from farfield.experiments.adapting.rounds import confident_boxes
+from farfield.experiments.adapting.rounds import ConfidentBoxes
 from farfield.experiments.frames import without
 from farfield.experiments.validation import relabel_annotations
 from farfield.frame import Boxes, Key
@@ -20,6 +21,7 @@ from farfield.metrics.centre.matching import found_by
 from farfield.metrics.deciding import ScoreSample, difference_of, figure, samples
 from farfield.metrics.detections import Detections
 from farfield.pages.training_pages import AdaptedPage, HeldScores, PseudoLabelFrame, ScoreRow, write_adapted
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
@@ -85,6 +87,18 @@ def extents(data: Mapping[str, Dataset], *, scored: bool = False, taught: bool =
     )
 
 
+def taught_by(labelled: Dataset | None) -> str:
+    """How many labelled sweeps taught, a sentence; nothing where there were none."""
+    if labelled is None:
+        return ""
+    boxes = sum(len(labelled.annotation(index) or ()) for index in range(len(labelled)))
+    return (
+        f" Beside the sweeps without labels, {count_of(len(labelled), 'sweep')} of "
+        f"{count_of(len(set(labelled.sequences)), 'drive')} with {count_of(boxes, 'labelled box', 'labelled boxes')} "
+        "taught in every batch; none of them is scored or shown here."
+    )
+
+
 def _extent(extent: str) -> str:
     return {"full": "whole body of an object", "visible": "part of an object that the sensor sees"}[extent]
 
@@ -109,8 +123,8 @@ def page_of(
         path: Where to.
         start: The detector that was adapted.
         detector: The same, loaded.
-        data: Frames of ``source`` and ``target``.
-        clouds: Which cloud was searched in each.
+        data: Frames of ``source`` and ``target``, and of ``labels`` where labelled sweeps taught.
+        clouds: Which cloud was read in each.
         calibration: Thresholds and steps.
         detections_by_round: What was detections_by_round in the target before, and after each round.
         rows: The rounds' logs.
@@ -120,7 +134,7 @@ def page_of(
     """
     target = data["target"]
     before, after = (
-        confident_boxes(detections.boxes, calibration.positive)
+        ConfidentBoxes(detections.boxes, calibration.positive)
         for detections in (detections_by_round[0], detections_by_round[-1])
     )
     index_of = {key: index for index, key in enumerate(target.keys)}
@@ -145,13 +159,20 @@ def page_of(
             data if held is None else {**data, "target": held},
             scored=held is not None,
             taught=bool(calibration.settings.get("whole_bodies")),
-        ),
+        )
+        + taught_by(data.get("labels")),
         scores=scores,
-        simulated={name: is_simulated(frames.root) for name, frames in data.items()},
+        simulated={name: any(map(is_simulated, roots_of(data[name]))) for name in ("source", "target")},
         settings={
             "detector": start,
-            "target": f"{len(target)} frames, cloud {clouds['target']}",
-            "source": f"{len(data['source'])} frames, clouds {', '.join(calibration.settings['source_clouds'])}",
+            "target": f"{count_of(len(target), 'frame')}, cloud {clouds['target']}",
+            "source": f"{count_of(len(data['source']), 'frame')}, clouds "
+            f"{', '.join(calibration.settings['source_clouds'])}",
+            **(
+                {"labelled": f"{count_of(len(data['labels']), 'frame')}, {data['labels'].root}"}
+                if "labels" in data
+                else {}
+            ),
             "rounds": calibration.settings["rounds"],
             "steps of a round": calibration.steps,
             "overrides": calibration.settings["overrides"],

@@ -4,7 +4,8 @@ import os
 import statistics
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from farfield.experiments.plan import Plan
 from farfield.experiments.schema import DataConfig, Experiment, experiment_of
 from farfield.frame import Boxes, Key
 from farfield.training.report import TrainingReport
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from farfield.detectors.runtime import Detector
@@ -50,7 +52,8 @@ def steps_in(seconds: float, step_s: float, choices: AdaptationOptions, most: in
     least = min(most, _FEWEST)
     if fitting < least:
         raise ConfigError(
-            f"--minutes: expected enough for {least} steps in each of {choices.rounds} rounds; of {choices.minutes:g} "
+            f"--minutes: expected enough for {count_of(least, 'step')} in each "
+            f"of {choices.rounds} rounds; of {choices.minutes:g} "
             f"minutes {max(seconds, 0):.0f} s are left for training, and a step takes {step_s:.1f} s. Give more "
             "minutes, or fewer --frames and --source-frames."
         )
@@ -77,9 +80,10 @@ def check_minutes(
     least_s = 0.5 * sweep_s * sweeps + frame_s * simulated / (os.cpu_count() or 1) + sweep_s * steps * choices.rounds
     if least_s <= 60 * choices.minutes:
         return
-    work = f"{simulated} frames to simulate, {sweeps} sweeps to search"
+    work = f"{count_of(simulated, 'frame')} to simulate, {count_of(sweeps, 'sweep')} to search"
     raise ConfigError(
-        f"--minutes: expected enough for {work} and {steps} steps in each of {choices.rounds} rounds, about "
+        f"--minutes: expected enough for {work} and {count_of(steps, 'step')} "
+        f"in each of {choices.rounds} rounds, about "
         f"{least_s / 60:.2g} minutes or more on this machine; got {choices.minutes:g}. Give more minutes, or fewer "
         "--frames, --source-frames or --rounds."
     )
@@ -113,7 +117,8 @@ def experiment_of_round(
         start: Weights to go on from: the round's teacher.
         detector: The detector that is adapted.
         learnt: What it learnt from.
-        data: Settings of the streams ``source`` and ``target``.
+        data: Settings of the streams ``source``, ``target``, ``labels`` where labelled sweeps teach, and ``donors``
+            where simulated road users in the sweeps do.
         calibration: Thresholds and steps.
         choices: What was chosen.
         number: Number of the round, from 1.
@@ -121,10 +126,13 @@ def experiment_of_round(
     """
     training = {name: learnt.training[name] for name in _INHERITED if name in learnt.training}
     training |= {"learning_rate": 0.5 * float(learnt.training.get("learning_rate", 2e-3)), "steps": calibration.steps}
-    training["batch_size"] = max(2, 2 * (int(training.get("batch_size", 4)) // 2))  # as many of each stream
+    # as many of source and target; of labelled frames as many as of both; of donors as many as of one
+    parts = 2 + 2 * ("labels" in data) + ("donors" in data)
+    training["batch_size"] = max(parts, parts * (int(training.get("batch_size", 4)) // parts))
     lowest = float(detector.config.score_threshold)
     rare = dict.fromkeys(rare_classes(boxes, calibration), lowest)
     method: dict[str, Any] = {"positive": calibration.positive, "negative": {**calibration.negative, **rare}}
+    method |= {name: True for name in ("labels", "donors") if name in data}
     if choices.whole_bodies and number == 1:  # the teacher still draws visible parts: the source's labels teach alone
         method["weight"] = 0.0
     tree: dict[str, Any] = {
@@ -170,25 +178,47 @@ def rare_classes(boxes: Mapping[Key, Boxes], calibration: CalibratedThresholds) 
     Were their boxes of middling score background, as those of other classes are, a round would unlearn them.
     """
     count = dict.fromkeys(calibration.positive, 0)
-    for frame_boxes in confident_boxes(boxes, calibration.positive).values():
-        for name in np.asarray(frame_boxes.label):
+    for frame_boxes in boxes.values():
+        for name in np.asarray(_confident(frame_boxes, calibration.positive).label):
             count[str(name)] += 1
     return tuple(name for name, number in count.items() if number < _RARE)
 
 
 def pseudo_label_rates(boxes: Mapping[Key, Boxes], calibration: CalibratedThresholds) -> tuple[float, float]:
     """Confident pseudo-labels and ignored boxes a frame."""
-    parts = [split_by_score(frame_boxes, calibration.positive, calibration.negative) for frame_boxes in boxes.values()]
-    confident, ignored = (sum(len(part[side]) for part in parts) for side in (0, 1))
+    confident = ignored = 0
+    for frame_boxes in boxes.values():
+        parts = split_by_score(frame_boxes, calibration.positive, calibration.negative)
+        confident, ignored = confident + len(parts.confident), ignored + len(parts.ignored)
     return confident / max(len(boxes), 1), ignored / max(len(boxes), 1)
 
 
-def confident_boxes(boxes: Mapping[Key, Boxes], positive: Mapping[str, float]) -> dict[Key, Boxes]:
-    """The boxes whose scores make them objects, by frame, with their scores."""
-    return {
-        key: frame_boxes[scores_of(frame_boxes) >= levels(dict(positive), frame_boxes.label)]
-        for key, frame_boxes in boxes.items()
-    }
+def _confident(boxes: Boxes, positive: Mapping[str, float]) -> Boxes:
+    """The boxes whose scores make them objects."""
+    return boxes[scores_of(boxes) >= levels(dict(positive), boxes.label)]
+
+
+@dataclass(frozen=True, eq=False)
+class ConfidentBoxes(Mapping[Key, Boxes]):
+    """The boxes whose scores make them objects, by frame, with their scores: those of a frame when it is asked for.
+
+    Args:
+        boxes: All boxes by frame; they may lie on the disk.
+        positive: Score from which a box is an object, by class.
+    """
+
+    boxes: Mapping[Key, Boxes]
+    positive: Mapping[str, float]
+
+    def __getitem__(self, key: Key) -> Boxes:
+        """Those of a frame."""
+        return _confident(self.boxes[key], self.positive)
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self.boxes)
+
+    def __len__(self) -> int:
+        return len(self.boxes)
 
 
 def check_round(
@@ -215,12 +245,13 @@ def check_round(
     best = max((float(scores_of(frame_boxes).max()) for frame_boxes in boxes.values() if len(frame_boxes)), default=0.0)
     low = {name: _low_m(data[name], clouds[name]) for name in ("source", "target")}
     raise FarfieldError(
-        f"adapt: round {number} has no pseudo box: in {len(boxes)} frames of the target no score reaches "
+        f"adapt: round {number} has no pseudo box: in {count_of(len(boxes), 'frame')} of the target no score reaches "
         f"{threshold_text(calibration.positive)}; the best is {best:.2f}, and the source has "
         f"{calibration.source_rate:.1f} confident boxes a sweep. The lowest tenth of the points lies below "
         f"{low['target']:.1f} m in the target and {low['source']:.1f} m in the source: where these differ by more "
         "than half a metre, or the car looks along another axis, move the clouds into the coordinates that the "
-        "detector learnt in. Else it does not see this sensor at all: take another detector, or label some frames."
+        "detector learnt in. Else it does not see this sensor at all: take another detector, or label some sweeps and "
+        "name their labels (--learn-from)."
     )
 
 

@@ -11,13 +11,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.files.atomic import read_bytes
-from farfield.files.yaml_text import plain_yaml
+from farfield.files.yaml_text import MAX_BYTES, plain_yaml
 from farfield.metrics.deciding import Hypothesis, Scalar, figure
 from farfield.metrics.deciding.decision import Kind
 from farfield.vocabulary.published_tables import OVERALL, PUBLISHED_TABLES, PublishedTable
 
 _FOLDER = Path(__file__).resolve().parent
-_MAX_BYTES = 1 << 20
 CLAIMS = ("cirrus", "kradar")
 """Names of the shipped files of claims."""
 BUDGETS = ("laptop", "desk", "workstation", "gpu")
@@ -302,12 +301,12 @@ def read_declared(
     Raises:
         FileFormatError: If it is no YAML, or declares something that is not there.
     """
-    data = read_bytes(path, max_bytes=_MAX_BYTES)
+    data = read_bytes(path, max_bytes=MAX_BYTES)
     try:
-        tree = plain_yaml(data.decode("utf-8"))
-        document = model.model_validate({**tree, **changes} if changes else tree)
+        tree = plain_yaml(data)
+        document = model.model_validate({**tree, **changes} if changes and isinstance(tree, dict) else tree)
     except ValidationError as error:
         raise FileFormatError(path, where="keys", expected=expected, got=plain(error)) from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except yaml.YAMLError as error:
         raise FileFormatError(path, where="the file", expected="YAML", got=plain(error)) from None
     return document, hashlib.sha256(data).hexdigest()

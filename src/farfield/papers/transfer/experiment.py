@@ -16,7 +16,9 @@ from farfield.detectors.runtime import Detector
 from farfield.evaluation import detect
 from farfield.experiments.frames import annotated_frames, part_of
 from farfield.files.atomic import write_text
+from farfield.files.json_text import read_json
 from farfield.jobs import JobOptions
+from farfield.jobs.folders import held
 from farfield.jobs.runs import Progress
 from farfield.metrics.deciding import figure, sample
 from farfield.papers.grid import Tree
@@ -28,6 +30,7 @@ from farfield.papers.scoring import json_of_sample
 from farfield.papers.transfer.results import lines_of, tree_of
 from farfield.papers.transfer.table import CLOUD, TransferTable, share_of, transfer_jobs
 from farfield.training.method import LABELLED
+from farfield.vocabulary.counts import count_of
 
 FLOORS = "floors.json"
 STEPS = 6
@@ -82,7 +85,7 @@ class TransferScoring(GridScoring):
             write_text(self.floors, json.dumps(floors, indent=1) + "\n")
 
     def _floors(self) -> Tree:
-        return dict(json.loads(self.floors.read_text(encoding="utf-8"))) if self.floors.is_file() else {}
+        return dict(read_json(self.floors)) if self.floors.is_file() else {}
 
     def _in_common_form(self, world: str, part: str, *, drop_doppler: float = 0.0) -> Dataset:
         """A world's frames in the common form."""
@@ -160,14 +163,15 @@ class TransferExperiment:
     def run(self) -> None:
         """Simulate, train and score all that is not done: first the rows that others start from."""
         scoring = self.scoring
-        self.runs_folder.mkdir(parents=True, exist_ok=True)
-        # simulate, and measure the floors of the training sets
-        progress = self.progress("simulating")
-        provide(scoring.locations, workers=self.workers, progress=progress, report=self.report)
-        scoring.measure_floors()
-        # train and score
-        progress = self.progress("training")
-        do_all(self.jobs, self.runs_folder, scoring, workers=self.workers, progress=progress, report=self.report)
+        with held(self.out):
+            self.runs_folder.mkdir(parents=True, exist_ok=True)
+            # simulate, and measure the floors of the training sets
+            progress = self.progress("simulating")
+            provide(scoring.locations, workers=self.workers, progress=progress, report=self.report)
+            scoring.measure_floors()
+            # train and score
+            progress = self.progress("training")
+            do_all(self.jobs, self.runs_folder, scoring, workers=self.workers, progress=progress, report=self.report)
 
     def write(self) -> list[str]:
         """Decide, and write ``transfer.txt``, ``transfer.json`` and ``report.html`` of the runs done.
@@ -204,7 +208,10 @@ class TransferExperiment:
 
     def _runs_line(self) -> str:
         jobs = self.jobs
-        return f"{len(jobs)} runs of {self.table.training['steps']} steps, {len(waves(jobs)[0])} of them to start from"
+        return (
+            f"{count_of(len(jobs), 'run')} of {count_of(self.table.training['steps'], 'step')}, "
+            f"{len(waves(jobs)[0])} of them to start from"
+        )
 
     def outline(self) -> list[str]:
         """What will be done, and what it will cost on this machine: measured in a minute or two, elsewhere."""
@@ -214,7 +221,7 @@ class TransferExperiment:
             self._runs_line(),
             *(
                 f"  {table.worlds[name].words}: {simulating_s[name]:.2f} s to simulate a frame, {rate.step_s:.2f} s a "
-                f"step of {table.training['batch_size']} frames, {rate.frame_s:.2f} s to score a frame"
+                f"step of {count_of(table.training['batch_size'], 'frame')}, {rate.frame_s:.2f} s to score a frame"
                 for name, rate in rates.items()
             ),
             f"{'row':<84}{'seeds':>6}  frames to learn from",

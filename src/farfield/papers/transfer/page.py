@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from farfield.figures.style import PATTERNS, figure_uri, house_style, new_figure
 from farfield.files.atomic import write_text
 from farfield.pages.template import PageImage, render_template
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,7 +62,7 @@ def _cell(score: Mapping[str, Any] | None) -> dict[str, str]:
         "value": f"{score['mean']:.3f}",
         "interval": _between(score["interval"]),
         "seeds": f"({' '.join(f'{value:.3f}' for value in score['values'])})",
-        "frames": f"{score['frames']:,} frames",
+        "frames": f"{count_of(score['frames'], 'frame', spec=',')}",
     }
 
 

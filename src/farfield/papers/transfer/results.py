@@ -11,6 +11,7 @@ from farfield.metrics.deciding import Decision, ScoreSample
 from farfield.papers.deciding import decide_all, row_difference
 from farfield.papers.scoring import sample_of
 from farfield.papers.transfer.table import TransferComparison, TransferTable
+from farfield.vocabulary.counts import count_of
 
 RowSamples = Mapping[tuple[str, float], Mapping[int, ScoreSample]]
 """Samples by row and share, and within by seed."""
@@ -149,7 +150,7 @@ def lines_of(table: TransferTable, scores: Sequence[Mapping[str, Any]]) -> list[
     lines = [
         f"{table.metric} of the {table.score.protocol} protocol, simulated",
         "mean over seeds, its interval of 95 % under draws of the scored drives, (each seed)",
-        f"declared {table.digest[:12]}; {len(scores)} runs of {table.training['steps']} steps, "
+        f"declared {table.digest[:12]}; {count_of(len(scores), 'run')} of {count_of(table.training['steps'], 'step')}, "
         f"{_minutes(scores):.0f} minutes of a core",
         "",
         f"{'row':<88}{'share':>8}{'frames':>8}  AP",
