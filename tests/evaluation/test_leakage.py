@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+import farfield as ff
 from farfield.datasets import open_dataset
 from farfield.datasets.contents import frame_digests
 from farfield.datasets.memory import in_memory
@@ -37,7 +38,7 @@ def test_frames_of_the_training_are_named(simulated_cirrus: Path) -> None:
     )
     part = data.select([0])
     assert seen_in_training(part, whole.provenance, {part.keys[0]}) == (
-        "all 1 frames, by names and sizes of their files",
+        "all 1 frame, by names and sizes of their files",
         1,
     )
     some = Trained(data_fingerprint=part.fingerprint(), frames=1)
@@ -104,7 +105,7 @@ def test_renamed_copies_are_recognised(tmp_path: Path, rng: np.random.Generator)
     (tmp_path / "b").mkdir()
     shutil.copy(tmp_path / "a" / "0001.npy", tmp_path / "b" / "night.npy")
     renamed = open_dataset(tmp_path / "b")
-    assert seen_in_training(renamed, learnt(*frame_digests(one)), set(renamed.keys)) == ("all 1 frames", 1)
+    assert seen_in_training(renamed, learnt(*frame_digests(one)), set(renamed.keys)) == ("all 1 frame", 1)
 
 
 def test_what_weights_learnt_before_they_were_trained_on_counts(simulated_cirrus: Path) -> None:
@@ -149,7 +150,7 @@ def test_what_holds_next_to_nothing_is_no_frames_alone(tmp_path: Path, rng: np.r
     full = other.select([0])
     assert seen_in_training(full, learnt(*frame_digests(one)), set(full.keys)) == ("not known", 0), "two say nothing"
     certain = learnt(frame_digests(one)[0])
-    assert seen_in_training(full, certain, set(full.keys))[0].startswith("none of the 1 frames")
+    assert seen_in_training(full, certain, set(full.keys))[0].startswith("none of the 1 frame")
     assert seen_in_training(other, certain, set(other.keys)) == ("not known", 0)
 
 
@@ -165,3 +166,35 @@ def test_copies_in_another_format_are_not_known(tmp_path: Path, rng: np.random.G
     assert seen_in_training(converted, provenance, set(converted.keys)) == ("not known", 0)
     words = "none of the 2 frames, by the bytes of their files"
     assert seen_in_training(written_anew, provenance, set(written_anew.keys)) == (words, 0)
+
+
+def test_a_readers_options_make_other_data_of_a_score_and_the_same_of_what_was_learnt(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    root = own_folder(tmp_path / "own", ("a", "b"), rng)
+    for name in "ab":
+        np.save(root / f"{name}.npy", np.abs(np.load(root / f"{name}.npy")))
+        (root / f"{name}.json").write_text('{"boxes": []}')
+    plain, scaled = open_dataset(root, intensity_scale=200.0), open_dataset(root, intensity_scale=400.0)
+    assert plain.fingerprint() != scaled.fingerprint()
+    assert plain.fingerprint(options=False) == scaled.fingerprint(options=False)
+    first, second = (ff.detect(Trained(), data).score("dds").subject for data in (plain, scaled))
+    assert first is not None
+    assert second is not None
+    assert not first.same_data(second)
+    for trained in (plain.fingerprint(), plain.fingerprint(options=False)):  # these, and those of earlier versions
+        words, common = seen_in_training(plain, {"data_fingerprint": trained, "frames": 2}, set(plain.keys))
+        assert (words, common) == ("all 2 frames, by names and sizes of their files", 2)
+    known = learnt(*frame_digests(plain))
+    assert seen_in_training(scaled, known, set(scaled.keys)) == ("all 2 frames", 2)
+
+
+def test_an_option_that_names_a_file_counts_by_its_bytes(tmp_path: Path, rng: np.random.Generator) -> None:
+    root = own_folder(tmp_path / "own", ("a",), rng)
+    fingerprints = []
+    for folder, label in (("one", "Auto"), ("two", "Auto"), ("three", "Bike")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "classes.yaml").write_text(f"classes: {{{label}: vehicle}}\n")
+        fingerprints.append(open_dataset(root, mapping=tmp_path / folder / "classes.yaml").fingerprint())
+    assert fingerprints[0] == fingerprints[1] != fingerprints[2]
+    assert open_dataset(root, point_times="auto").fingerprint() == open_dataset(root).fingerprint()

@@ -37,4 +37,4 @@ def test_a_standing_car_is_a_point_in_the_world_and_a_line_without_poses() -> No
         "the sensor's path",
         "sensor at the start",
     ]
-    assert trails_picture(plain).axes[0].get_title(loc="left") == "a: 1 tracks, 11 frames"
+    assert trails_picture(plain).axes[0].get_title(loc="left") == "a: 1 track, 11 frames"

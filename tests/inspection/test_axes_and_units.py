@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import farfield as ff
 from farfield import cli
-from farfield.datasets import open_dataset
+from farfield.datasets import in_memory, open_dataset
 from farfield.files.atomic import write_text
-from farfield.frame import Boxes
+from farfield.frame import Boxes, Cloud, Frame, Sensor
 from farfield.inspection.axes_and_units import doubts_of, first_doubts
+from farfield.metrics import Bootstrap
 
 Change = tuple[np.ndarray, float]
 EYE = np.eye(3)
@@ -134,3 +136,23 @@ def test_the_advised_turn_mends_it(tmp_path: Path, rng: np.random.Generator) -> 
     folder = own_folder(tmp_path / "own", rng, *CASES["x right, y forward"][0])
     assert "--rotate-deg -90" in str(first_doubts(open_dataset(folder))[0])
     assert first_doubts(open_dataset(folder, rotate_deg=-90.0)) == []
+
+
+@pytest.mark.parametrize("stored_boxes", [False, True], ids=["a detector", "boxes"])
+def test_evaluate_and_detect_say_what_the_verbs_warn_of(rng: np.random.Generator, stored_boxes: bool) -> None:
+    points, boxes = changed(*road(rng), 100 * EYE, 0.0)
+    frame = Frame.of(Cloud(points.astype(np.float32)), boxes)
+    predicted = boxes.replace(score=np.ones(len(boxes)))
+    detector = {frame.key: predicted} if stored_boxes else (lambda frame: predicted)
+    result = ff.evaluate(detector, [frame], bootstrap=Bootstrap(replicates=0), region="none")
+    assert [note for note in result.notes if "centimetres" in note], result.notes
+    if not stored_boxes:
+        assert [note for note in ff.detect(detector, [frame]).notes if "centimetres" in note]
+
+
+def test_a_radars_cloud_is_not_judged_as_a_lidars(rng: np.random.Generator) -> None:
+    points = road(rng)[0]
+    tall = (points * [1.0, 1.0, 30.0]).astype(np.float32)
+    sensors = {"radar": Sensor(kind="radar")}
+    frame = Frame(sequence="s", frame_id="0", clouds={"radar": Cloud(tall)}, sensors=sensors)
+    assert first_doubts(in_memory([frame]), cloud="radar") == []

@@ -143,8 +143,9 @@ def test_annotated_against_annotated_is_one_however_few(rng: np.random.Generator
             prediction_details=details,
             annotation_details=details,
         )
-        assert len(result.figures) == 12
-        assert set(result.figures.values()) == {1.0}
+        in_space = {name: value for name, value in result.figures.items() if "bev" in name or "3d" in name}
+        assert len(in_space) == 12
+        assert set(in_space.values()) == {1.0}
 
 
 def test_half_found_gives_half() -> None:
@@ -200,7 +201,7 @@ def test_intervals_hold_the_score_and_the_table_its_convention(rng: np.random.Ge
 
 def test_details_must_fit_and_settings_be_possible() -> None:
     annotations = {("s", "0"): boxes([car(20)], scored=False, label="Car")}
-    with pytest.raises(ConfigError, match="a row for each of 1 boxes"):
+    with pytest.raises(ConfigError, match="a row for each of 1 box"):
         evaluate_kitti({}, annotations, annotation_details={("s", "0"): {"truncation": np.zeros(2)}})
     with pytest.raises(ConfigError, match="box_px"):
         evaluate_kitti({}, annotations, KittiSettings(dontcare="image"))

@@ -126,3 +126,22 @@ def test_names_are_guessed() -> None:
     assert closest_class("Auto", ["vehicle"]) == ""
     assert closest_class("pedestrain", ["vehicle", "pedestrian"]) == "pedestrian"
     assert closest_class("bus", ["vehicle", "large_vehicle"]) == "large_vehicle"
+
+
+@pytest.mark.parametrize(("across", "is_named"), [(0.7, False), (1.0, True)])
+def test_a_detector_that_is_unsure_of_headings_has_no_other_convention(
+    tmp_path: Path, across: float, is_named: bool
+) -> None:
+    """Fifteen pairs on real sweeps, eleven of them across, were called yaws that are off by 90 degrees."""
+    keep = slice(0, 15)
+    turned = np.arange(15) < across * 15
+
+    def fewer(boxes: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {name: values[keep] for name, values in boxes.items()}
+
+    def unsure(boxes: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        boxes = fewer(boxes)
+        return boxes | {"yaw_rad": boxes["yaw_rad"] + np.where(turned, np.pi / 2, 0.05)}
+
+    notes = found(tmp_path, unsure, fewer).score("dds").notes
+    assert any("off by 90 degrees" in note for note in notes) == is_named, notes

@@ -21,6 +21,10 @@ from farfield.testing.protocols import example
 NAMES = (
     "dds",
     "nuscenes",
+    "nuscenes-detection",
+    "argoverse2",
+    "waymo",
+    "waymo-let",
     "kitti",
     "tracking",
     "kradar",

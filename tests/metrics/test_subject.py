@@ -9,7 +9,18 @@ from farfield.metrics import PROTOCOLS, Detections
 from farfield.metrics.result import Subject, labels_fingerprint, region_words, subject_of
 from farfield.testing.protocols import example
 
-NAMES = ("dds", "nuscenes", "kitti", "kradar", "kradar-compat:old_as_shipped@0.3", "tracking", "nuscenes-tracking")
+NAMES = (
+    "dds",
+    "nuscenes",
+    "argoverse2",
+    "waymo",
+    "waymo-let",
+    "kitti",
+    "kradar",
+    "kradar-compat:old_as_shipped@0.3",
+    "tracking",
+    "nuscenes-tracking",
+)
 
 
 def found() -> Detections:

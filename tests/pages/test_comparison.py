@@ -161,7 +161,7 @@ def test_every_figure_is_drawn_where_there_is_data_and_none_where_not(page):
 
 
 def test_page_is_one_file_that_loads_nothing(page):
-    sources = re.findall(r'(?:src|href)="([^"]*)"', page)
+    sources = re.findall(r'(?:src|href)="([^#"][^"]*)"', page)
     assert len(sources) == 9
     assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
     assert "<script" not in page

@@ -26,7 +26,9 @@ class _Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         found = dict(attrs)
-        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
+        self.sources += [
+            value or "" for name, value in attrs if name in ("src", "href") and not (value or "").startswith("#")
+        ]
         if tag == "img":
             self.alts.append(found.get("alt"))
         if tag not in VOID:

@@ -19,7 +19,7 @@ from farfield.metrics.result_json import check_parts, check_result
 from farfield.pages.evaluation_page import render_report
 from farfield.testing.protocols import example
 
-NAMES = ("dds", "nuscenes", "kitti", "kradar", "tracking", "nuscenes-tracking")
+NAMES = ("dds", "nuscenes", "argoverse2", "waymo", "kitti", "kradar", "tracking", "nuscenes-tracking")
 
 
 def result_of(name: str) -> Any:
@@ -94,7 +94,7 @@ WRONG: list[tuple[tuple[str, ...], Any, str]] = [
     (("ranges",), "0-70", "ranges"),
     (("ranges", "near"), {}, "ranges"),
     (("ap", "0.5"), "1.0", "ap/0.5"),
-    (("ap", "0.5"), float("nan"), "ap/0.5"),
+    (("ap", "0.5"), [], "ap/0.5"),
     (("counts", "ranges"), [1], "counts/ranges"),
     (("counts", "annotated"), "many", "counts/annotated"),
     (("intervals", "overall", "ap", "0.5"), [0.1], "intervals/overall/ap/0.5"),

@@ -126,7 +126,7 @@ def test_a_caption_counts_what_the_score_counts() -> None:
     frame = dataclasses.replace(view("normal").frame, load_annotation=Constant(Annotation(boxes=both)))
     seen = FrameView(frame=frame, predictions={"radar": boxes(30.0, 0.8)}, title="normal")
     page = render_report(Evaluation(results={"radar": result}, frames=[seen]))
-    assert "1 of 1 annotated objects in the region that counts found" in page
+    assert "1 of 1 annotated object in the region that counts found" in page
 
 
 def test_a_view_that_lacks_a_sensor_is_refused() -> None:

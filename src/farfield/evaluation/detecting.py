@@ -4,7 +4,7 @@ import copy
 import json
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import FrozenInstanceError, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,14 @@ from jaxtyping import Int
 from farfield.datasets.base import Dataset
 from farfield.datasets.memory import in_memory
 from farfield.detectors.info import DescribedDetector, DetectorFunction, as_detector
-from farfield.errors import DatasetError
-from farfield.evaluation.leakage import leakage_warning, seen_in_training
+from farfield.errors import ConfigError, DatasetError, plain
+from farfield.evaluation.leakage import (
+    choice_text,
+    choice_warning,
+    frames_of_choice,
+    leakage_warning,
+    seen_in_training,
+)
 from farfield.evaluation.views import as_trained, motion, suitable_clouds
 from farfield.files.disk_dict import DiskDict, alike
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Key
@@ -25,8 +31,11 @@ from farfield.jobs import JobJournal, JobOptions, Unit, UnitResult, run, values
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
 from farfield.metrics.result import digest_of
+from farfield.vocabulary.counts import count_of
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
+_READ_ONLY = "read-only"
+"""Word of numpy's errors, where an array of a frame is written into."""
 _MEMORY_BYTES = 1_500_000_000  # that a process with torch and a detector's feature maps needs
 
 
@@ -95,6 +104,7 @@ def detect(
     # Say of what the detections are: the detector, the data, and whether it was trained on them.
     info = described.info
     leakage, common = seen_in_training(dataset, info.provenance, set(annotations))
+    chosen_by = frames_of_choice(dataset, info.provenance, set(annotations))
     moved = dataset.maps != plan.task.frames.maps  # boxes are seen in other coordinates than the data's own
     return Detections(
         detector=info.name,
@@ -102,8 +112,12 @@ def detect(
         data=dataset.root.name,
         fingerprint=dataset.fingerprint(),
         labels_fingerprint=digest_of(_own_annotations(dataset, annotations)) if moved else "",
-        seen_in_training=leakage,
-        notes=(*leakage_warning(leakage, common), *_annotation_notes(unannotated, len(numbers), annotations)),
+        seen_in_training="; ".join(filter(None, (leakage, choice_text(chosen_by, len(annotations))))),
+        notes=(
+            *leakage_warning(leakage, common),
+            *choice_warning(chosen_by, len(annotations)),
+            *_annotation_notes(unannotated, len(numbers), annotations),
+        ),
         reference=plan.reference,
         cloud=plan.task.cloud,
         classes=info.classes,
@@ -238,7 +252,11 @@ class DetectTask:
     memory_bytes = _MEMORY_BYTES
 
     def __call__(self, unit: Unit) -> UnitResult:
-        """Detect in a frame, which is built here and nowhere else."""
+        """Detect in a frame, which is built here and nowhere else.
+
+        Raises:
+            ConfigError: If the detector changes the frame in place, which it must not.
+        """
         frame = self.frames[unit.parameters]
         if self.annotated_only and not frame.has_annotation:
             return UnitResult()
@@ -249,7 +267,16 @@ class DetectTask:
         own_T_frame = None if self.own is None else motion(frame, self.own[unit.parameters])
         shown = frame.annotated(copy.deepcopy(annotation))
         start_s = time.perf_counter()
-        boxes = self.detector(shown)
+        try:
+            boxes = self.detector(shown)
+        except (ValueError, FrozenInstanceError) as error:
+            if isinstance(error, ValueError) and _READ_ONLY not in str(error):
+                raise
+            raise ConfigError(
+                f"detector {self.detector.info.name or 'without a name'}, frame {'/'.join(frame.key)}: a detector must "
+                f"not change what it gets: expected one that copies before it writes, got {plain(error)!r}. Write into "
+                "a copy: points = frame.cloud().points_m.copy()"
+            ) from error
         ms = 1e3 * (time.perf_counter() - start_s)
         boxes = copy.deepcopy(boxes) if own_T_frame is None else boxes.transform(own_T_frame)
         detections = FrameDetections(
@@ -345,9 +372,11 @@ def check_new_key(key: Key, before: Collection[Key]) -> None:
 
 def _annotation_notes(unannotated: int, frames: int, annotations: Mapping[Key, Annotation]) -> list[str]:
     """How many frames were left out, and whether there is nothing to find in the others."""
-    notes = [f"{unannotated} of {frames} frames are not annotated and do not count"] if unannotated else []
+    notes = [f"{unannotated} of {count_of(frames, 'frame')} are not annotated and do not count"] if unannotated else []
     if annotations and not any(len(annotation) for annotation in annotations.values()):
-        notes.append(f"no box is annotated in {len(annotations)} annotated frames: there is nothing to score")
+        notes.append(
+            f"no box is annotated in {count_of(len(annotations), 'annotated frame')}: there is nothing to score"
+        )
     return notes
 
 

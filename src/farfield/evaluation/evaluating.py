@@ -21,6 +21,7 @@ from farfield.metrics import PROTOCOLS, Bootstrap, Protocol
 from farfield.metrics.breakdown import by_class, by_part, mean_of_classes, parts_json
 from farfield.metrics.detections import Detections, presentation_of
 from farfield.metrics.frames import BoxesByFrame
+from farfield.vocabulary.counts import count_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,7 +206,8 @@ def training_text(provenance: Mapping[str, Any]) -> str:
         f"{', and '.join(sources)}, "
         + (f"by the method {method}, " if method != "supervised" else "")
         + (f"from the weights {start.get('weights') or 'not named'}, " if start else "")
-        + f"{training.get('steps')} steps of {training.get('batch_size')}, training seed {training.get('seed')}, "
+        + f"{count_of(training.get('steps') or 0, 'step')} of {training.get('batch_size')}, "
+        f"training seed {training.get('seed')}, "
         f"commit {commit}"
     )
 

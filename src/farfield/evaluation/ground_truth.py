@@ -8,22 +8,29 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets import open_dataset, recognise
+from farfield.datasets.argoverse2 import Argoverse2
 from farfield.datasets.base import Dataset
 from farfield.datasets.class_mapping import class_mapping_of
 from farfield.datasets.kitti.boxes import objects_from_boxes
 from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti
 from farfield.datasets.maps.coordinates import Coordinates
 from farfield.datasets.memory import in_memory
+from farfield.datasets.nuscenes.reader import SchemaDataset
 from farfield.datasets.result_files import coordinates_of_text
+from farfield.datasets.waymo import Waymo
 from farfield.errors import ConfigError
 from farfield.evaluation.detecting import check_new_key, label_facts, points_in_boxes, with_point_count
+from farfield.files.nuscenes import WORLD
 from farfield.frame import Annotation, Boxes, Constant, Frame, Key
+from farfield.geometry.poses import invert
 from farfield.metrics.box_files import kitti_boxes, read, read_predictions
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.kradar.conditions import read_conditions
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, normalised_class
+from farfield.vocabulary.counts import count_of
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
+_SCORED_BESIDE_DATA = ("boxes-csv", "kitti", "nuscenes", "argoverse2", "waymo")
 
 
 def detections_from_boxes(
@@ -84,7 +91,10 @@ def _unknown_frames(boxes: Mapping[Key, Boxes], annotated: Collection[Key], keys
         )
     if not unknown:
         return ()
-    return (f"{len(unknown)} of {len(boxes)} frames of the predictions, such as {unknown[0]}, are not in the data",)
+    return (
+        f"{len(unknown)} of {count_of(len(boxes), 'frame')} of the "
+        f"predictions, such as {unknown[0]}, are not in the data",
+    )
 
 
 def read_detections(
@@ -101,7 +111,8 @@ def read_detections(
         predictions: File, or folder of files, of predicted boxes.
         labels: File, or folder of files of equal stems, of annotated boxes; or a data set, or its folder.
         format: As of :func:`farfield.metrics.box_files.read`. With ``"kitti"`` a data set's boxes are seen in the
-            axes of its camera, as ``predict --format kitti`` writes them.
+            axes of its camera, as ``predict --format kitti`` writes them; with ``"nuscenes"`` in the world, moved to
+            the car.
         reference: Coordinates in which boxes stand whose files do not name them.
         **options: Those of :func:`farfield.open_dataset`, for a data set's folder.
 
@@ -112,8 +123,9 @@ def read_detections(
     """
     if isinstance(labels, Path | str):
         folder = Path(labels)
-        texts = folder.is_dir() and any(folder.glob("*.txt"))
-        if format not in ("boxes-csv", "kitti") or texts or not folder.is_dir() or recognise(folder) is None:
+        format_name = recognise(folder) if folder.is_dir() else None
+        texts = format_name != "kradar" and any(folder.glob("*.txt"))  # whose sequences have a description.txt
+        if format not in _SCORED_BESIDE_DATA or texts or format_name is None:
             if options:
                 raise ConfigError(
                     f"{', '.join(options)}: expected a data set's folder in the place of the labels, whose files are "
@@ -121,8 +133,13 @@ def read_detections(
                 )
             return read(predictions, labels, format=format, reference=reference)
         labels = open_dataset(folder, **options)
+        own = {"argoverse2": Argoverse2, "waymo": Waymo}.get(format)
+        if own is not None and isinstance(labels.unwrapped, own) and "classes" not in options:
+            labels = open_dataset(folder, **options, classes=format)  # the submission's own categories
     if format == "kitti":
         return _in_cameras(Path(predictions), labels, reference)
+    if format == "nuscenes":
+        return detections_by_sample(read_predictions(predictions, format=format, reference=reference), labels)
     return attach_ground_truth(read_predictions(predictions, format=format, reference=reference), labels)
 
 
@@ -163,12 +180,76 @@ def _in_cameras(predictions: Path, data: Dataset, reference: str) -> Detections:
     return replace(joined, prediction_details=details, notes=tuple(notes)).with_oddities()
 
 
+def detections_by_sample(predictions: Detections, data: Dataset) -> Detections:
+    """NuScenes' results beside the samples of a data set, both seen from where the car stood.
+
+    Samples of scenes of which the results hold none do not count: they are of another part of the data. Those that
+    lack in other scenes count as nothing found.
+
+    Args:
+        predictions: Boxes by ``("", token)``, in the world or in the frames' coordinates.
+        data: The data set; of other formats a sample is ``frame`` or ``sequence/frame``, as ``predict`` names them.
+
+    Raises:
+        ConfigError: If no sample is one of the data's, or the data have no poses where boxes stand in the world.
+    """
+    reader = data.unwrapped
+    if isinstance(reader, SchemaDataset) and not data.maps:
+        data = reader.as_scored().select(data.origins)
+    plain = len(set(data.frame_ids)) == len(data)
+    index_of = {frame if plain else f"{sequence}/{frame}": row for row, (sequence, frame) in enumerate(data.keys)}
+    tokens = [token for _, token in predictions.boxes]
+    strangers = [token for token in tokens if token not in index_of]
+    if strangers:
+        raise ConfigError(
+            f"expected sample tokens of {data.root}, got {count_of(len(strangers), 'other')} of {len(tokens)}, such as "
+            f"{strangers[0][:60]!r}. Name the data set (and its version) that was predicted on."
+        )
+    scenes = {data.sequences[index_of[token]] for token in tokens}
+    chosen = [row for row, sequence in enumerate(data.sequences) if sequence in scenes]
+    notes = list(predictions.notes)
+    if isinstance(reader, SchemaDataset) and reader.dialect.name != "nuscenes":
+        notes.append(
+            f"samples of {reader.dialect.title} are scored under the names of nuScenes' detection task, and by "
+            f"nuscenes-detection within its ranges: the figures are not those of its own task"
+        )
+    if len(chosen) < len(data):
+        notes.append(f"{len(data) - len(chosen)} of {len(data)} samples are of scenes without results: left out")
+    if len(chosen) > len(tokens):
+        notes.append(f"{len(chosen) - len(tokens)} of {len(chosen)} samples have no entry of results: nothing found")
+    boxes: dict[Key, Boxes] = {}
+    in_world = predictions.reference in ("", WORLD)
+    for (_, token), predicted in predictions.boxes.items():
+        row = index_of[token]
+        boxes[data.keys[row]] = _seen_from(data[row], predicted) if in_world else predicted
+    details = {data.keys[index_of[token]]: rows for (_, token), rows in predictions.prediction_details.items()}
+    truth = data.select(chosen) if in_world else in_coordinates(data.select(chosen), predictions.reference)
+    joined = detections_from_boxes(boxes, truth)
+    names = {} if isinstance(reader, SchemaDataset) else _meant(joined, data)
+    if names:
+        renamed = {key: predicted.relabel(names) for key, predicted in joined.boxes.items()}
+        joined = replace(joined, boxes=renamed)
+        pairs = ", ".join(f"{name} is {ours}" for name, ours in names.items())
+        notes.append(f"classes of the predictions are called as the data's: {pairs}")
+    return replace(joined, prediction_details=details, notes=(*notes, *joined.notes)).with_oddities()
+
+
+def _seen_from(frame: Frame, boxes: Boxes) -> Boxes:
+    """Boxes of the world in a frame's coordinates."""
+    if frame.world_T_frame is None:
+        raise ConfigError(
+            f"frame {frame.key}: expected a pose, since the predicted boxes stand in the world; it has none"
+        )
+    return boxes.transform(invert(frame.world_T_frame))
+
+
 def _in_camera(data: Dataset, index: int) -> Frame:
     """A frame with its boxes alone, under KITTI's names in the axes of its first camera, ahead, left and up."""
     frame = data[index]
     boxes = Boxes.empty() if frame.boxes is None else frame.boxes
     objects = objects_from_boxes(boxes, next(iter(frame.cameras.values()), VIRTUAL_CAMERA), classes=KITTI_FROM_CIRRUS)
-    facts = {"truncation": objects.truncation, "occlusion": objects.occlusion, "box_px": objects.box_px}
+    names = ("truncation", "occlusion", "box_px", "alpha_rad")
+    facts = {name: getattr(objects, name) for name in names}
     details = {} if frame.annotation is None else frame.annotation.details
     if all(name in details for name in facts):  # KITTI's own labels under other names
         facts = {name: details[name] for name in facts}

@@ -2,16 +2,21 @@
 
 Layout of the folder::
 
-    evaluation.json          results by name, settings, provenance, objects, list of shown frames
-    frames/0000.json         one shown frame: names, time, conditions, labels, cameras
-    frames/0000.ffcloud      its clouds and boxes
-    frames/0000_camera.jpg   its images
+    evaluation.json                  results by name, settings, provenance, objects, list of shown frames
+    frames/1f0c93ab0000.json         one shown frame: names, time, conditions, labels, cameras
+    frames/1f0c93ab0000.ffcloud      its clouds and boxes
+    frames/1f0c93ab0000_camera.jpg   its images
 
+The names of the frames begin with a digest of the evaluation, so that another one in the same folder writes beside them
+until its evaluation.json, written last, takes over: what an interruption leaves is one evaluation or the other.
 Nothing is pickled, and the data set itself is not needed to draw the report again.
 """
 
+import hashlib
 import json
+import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,17 +27,20 @@ from jaxtyping import Float32
 
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.files.atomic import read_bytes, write_text
+from farfield.files.atomic import write_text
 from farfield.files.clouds import CACHE_SUFFIX, read_cache, write_cache
 from farfield.files.images import read_image, write_image
+from farfield.files.json_text import read_json
+from farfield.files.outputs import check_replaceable
 from farfield.frame import Annotation, Cloud, Constant, Frame, Lazy, Sensor
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.metrics.result_json import check_parts, check_result
 from farfield.radar.axes import CUBE_SHAPE
 
-EVALUATION = "evaluation.json"
-_LIMIT_BYTES = 1 << 28
+EVALUATION, TIMING, PAGE = "evaluation.json", "timing.json", "report.html"
+_FRAME = re.compile(r"(?:[0-9a-f]{8})?\d{4}")
+_SUFFIXES = (".json", CACHE_SUFFIX, ".jpg")
 _FORMAT = 1
 
 
@@ -60,6 +68,18 @@ class FrameView:
             return {name: by_name[name] for name in self.frame.clouds if name in by_name}
         first = next(iter(self.frame.clouds), None)
         return {} if first is None else {first: self.predictions}
+
+
+def _frames_of_others(folder: Path) -> set[str]:
+    """Names of frames that an evaluation left: of the one that stands there, and whole ones of an interrupted one."""
+    old: set[str] = set()
+    with suppress(OSError, ValueError, FileFormatError):
+        content = read_json(folder / EVALUATION)
+        named = content.get("frames") if isinstance(content, dict) else None
+        old |= {name for name in named or () if isinstance(name, str) and _FRAME.fullmatch(name)}
+    clouds = {file.stem.partition("_")[0] for file in (folder / "frames").glob(f"*{CACHE_SUFFIX}")}
+    whole = {name for name in clouds if (folder / "frames" / f"{name}.json").is_file()}
+    return old | {name for name in whole if _FRAME.fullmatch(name)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,15 +113,14 @@ class Evaluation:
     def save(self, folder: Path | str) -> Path:
         """Write the evaluation into a folder, which is made if needed.
 
+        What was made of another evaluation there, its page and its clocks, goes before this one takes over, and its
+        frames after that.
+
         Returns:
             The path of ``evaluation.json``, which is written last.
         """
         folder = Path(folder)
-        (folder / "frames").mkdir(parents=True, exist_ok=True)
-        names = [f"{number:04d}" for number in range(len(self.frames))]
-        for name, view in zip(names, self.frames, strict=True):
-            save_frame(folder / "frames", name, view.frame, view.predictions, title=view.title, radar_db=view.radar_db)
-        content = {
+        content: dict[str, Any] = {
             "format": _FORMAT,
             "title": self.title,
             "results": self.results,
@@ -109,10 +128,27 @@ class Evaluation:
             "provenance": self.provenance,
             "objects": self.objects,
             "parts": self.parts,
-            "frames": names,
         }
-        write_text(folder / EVALUATION, json.dumps(content, indent=1, allow_nan=False, default=str) + "\n")
-        return folder / EVALUATION
+        shown = [[*view.frame.key, view.title] for view in self.frames]
+        mark = hashlib.sha256(json.dumps([content, shown], allow_nan=False, default=str).encode()).hexdigest()[:8]
+        names = [f"{mark}{number:04d}" for number in range(len(self.frames))]
+        text = json.dumps({**content, "frames": names}, indent=1, allow_nan=False, default=str) + "\n"
+        # The frames, under names that no other evaluation's have.
+        (folder / "frames").mkdir(parents=True, exist_ok=True)
+        for name, view in zip(names, self.frames, strict=True):
+            save_frame(folder / "frames", name, view.frame, view.predictions, title=view.title, radar_db=view.radar_db)
+        # The evaluation itself, and away with what was made of another one.
+        path = folder / EVALUATION
+        check_replaceable(path)
+        old = _frames_of_others(folder) - set(names)
+        if not path.is_file() or path.read_bytes() != text.encode():
+            for derived in (TIMING, PAGE):
+                (folder / derived).unlink(missing_ok=True)
+        write_text(path, text)
+        for file in (folder / "frames").iterdir():
+            if file.stem.partition("_")[0] in old and file.suffix in _SUFFIXES:
+                file.unlink()
+        return path
 
     @classmethod
     def load(cls, path: Path | str) -> "Evaluation":
@@ -153,7 +189,9 @@ class Evaluation:
             raise FileFormatError(path, where="key 'frames'", expected="a list of names", got=repr(names)[:80])
         for name in names:
             if not (isinstance(name, str) and name.isalnum()):
-                raise FileFormatError(path, where="key 'frames'", expected="names such as '0000'", got=repr(name))
+                raise FileFormatError(
+                    path, where="key 'frames'", expected="names such as '1f0c93ab0000'", got=repr(name)
+                )
             frame, predictions, title, radar_db = load_frame(path.parent / "frames", name)
             frames.append(FrameView(frame=frame, predictions=predictions, title=title, radar_db=radar_db))
         return cls(
@@ -168,10 +206,7 @@ class Evaluation:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the file", expected="JSON", got=plain(error)) from error
+    content = read_json(path)
     if not isinstance(content, dict):
         actual = type(content).__name__
         raise FileFormatError(path, where="the file", expected="a JSON object", got=actual)
@@ -202,9 +237,9 @@ def _is_of(folder: Path, digest: str, fingerprint: str) -> bool:
     if not path.is_file():
         return True
     try:
-        tree = json.loads(read_bytes(path, max_bytes=_LIMIT_BYTES))
+        tree = read_json(path)
         subjects = [result["subject"] for result in tree["results"].values()]
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (FileFormatError, KeyError, TypeError, AttributeError):
         return False
     return all(subject["detector_digest"] == digest and subject["fingerprint"] == fingerprint for subject in subjects)
 
@@ -279,7 +314,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
     """
     path = folder / f"{name}.json"
     try:
-        content = json.loads(read_bytes(path, max_bytes=_FRAME_LIMIT_BYTES))
+        content = read_json(path, max_bytes=_FRAME_LIMIT_BYTES)
         arrays = read_cache(folder / (name + CACHE_SUFFIX))
         sets = {part: _boxes(arrays, part, labels) for part, labels in content["labels"].items()}
         clouds = {
@@ -300,7 +335,7 @@ def load_frame(folder: Path, name: str) -> tuple[Frame, Predictions, str, Float3
             sensors={part: _sensor(values) for part, values in content.get("sensors", {}).items()},
             load_annotation=None if annotated is None else Constant(Annotation(boxes=annotated)),
         )
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
         reason = plain(error)
         raise FileFormatError(
             path, where="the frame", expected="a frame as `save_frame` writes it", got=reason

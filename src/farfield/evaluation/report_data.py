@@ -12,6 +12,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.metrics.presenting import HitRule
 from farfield.metrics.result import at
 from farfield.radar.views import PRODUCTS, radar_views
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 Result = Mapping[str, Any]
@@ -91,7 +92,7 @@ def shown_predictions(predictions: Boxes | None, score_min: float) -> tuple[Boxe
     shown = confident(predictions, score_min)
     if len(shown) == len(predictions):
         return shown, ""
-    return shown, f"{len(shown)} of {len(predictions)} boxes: score {score_min:g} or more"
+    return shown, f"{len(shown)} of {count_of(len(predictions), 'box', 'boxes')}: score {score_min:g} or more"
 
 
 def annotated_objects(

@@ -22,6 +22,7 @@ from farfield.frame.provenance import environment, is_simulated
 from farfield.jobs import JobOptions
 from farfield.metrics.detections import Detections, presentation_of
 from farfield.metrics.result import at, subject_of, value_at
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.kradar import REGIONS_M
 
 PROTOCOL, REGION, LABEL = "kradar", "narrow", "vehicle"
@@ -146,7 +147,9 @@ def _mixture_note(parts: Mapping[str, Detections]) -> tuple[str, ...]:
     """What the figures over all weathers are a mixture of."""
     if len(parts) < 2:
         return ()
-    frames = (f"{len(part.annotations)} frames in {weather.replace('_', ' ')}" for weather, part in parts.items())
+    frames = (
+        f"{count_of(len(part.annotations), 'frame')} in {weather.replace('_', ' ')}" for weather, part in parts.items()
+    )
     return (f"figures not split by weather mix {' and '.join(frames)}: compare detectors by weather",)
 
 
@@ -192,7 +195,11 @@ def _cell(result: Mapping[str, Any], weather: str) -> str:
 
 def _annotated_text(result: Mapping[str, Any], weather: str) -> str:
     counts = ((result.get("counts") or {}).get("conditions") or {}).get("weather", {}).get(weather) or {}
-    return f"{counts['annotated']} in {counts['frames']} frames" if {"annotated", "frames"} <= set(counts) else "-"
+    return (
+        f"{counts['annotated']} in {count_of(counts['frames'], 'frame')}"
+        if {"annotated", "frames"} <= set(counts)
+        else "-"
+    )
 
 
 def _views(info: DetectorInfo, data: Mapping[str, Dataset], detections: Mapping[str, Detections]) -> list[FrameView]:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from farfield.evaluation.report_data import kind_of, of_classes, returns_word, shown_predictions
+from farfield.evaluation.report_data import VEHICLES, kind_of, of_classes, returns_word, shown_predictions
 from farfield.figures.style import ANNOTATED, INK, MUTED, POINT, PREDICTED, figure_bytes, house_style, new_figure
 from farfield.frame import Cloud, Frame
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.centre.matching import found_by
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ Window = tuple[float, float, float, float]
 _POINT_DPI = 110  # pixels an inch of the points
 WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
 RANGES_M = (70.0, 150.0, 250.0)
+STREET_M: Window = (-45.0, 45.0, -30.0, 22.0)
 SHORT_WINDOW_M: Window = (0.0, 120.0, -30.0, 30.0)
 ZOOMS_M: tuple[tuple[str, Window], ...] = (
     ("near: 0 to 70 m", (0.0, 70.0, -35.0, 35.0)),
@@ -245,6 +247,27 @@ def overview(
     return figure
 
 
+def street(frame: Frame, predicted: Boxes, *, window_m: Window = STREET_M) -> "Figure":
+    """A street all around a sensor with its annotated vehicles and those predicted.
+
+    Args:
+        frame: An annotated frame.
+        predicted: Predicted boxes of all classes.
+        window_m: x from, x to, y from, y to.
+    """
+    title = f"{frame.sequence}, {frame.frame_id}: a real sweep"
+    vehicles = predicted[of_classes(predicted, VEHICLES)]
+    return overview(
+        frame.cloud(),
+        annotated=frame.boxes,
+        predicted=vehicles,
+        labels=VEHICLES,
+        window_m=window_m,
+        rings_m=(30.0,),
+        title=title,
+    )
+
+
 def zooms(
     cloud: Cloud,
     *,
@@ -303,7 +326,7 @@ def birdseye(
         annotated = frame.boxes[of_classes(frame.boxes, labels)]
         annotated = annotated[in_window(annotated.centre_m, window)]
         num_found = int((found_by(predictions, annotated) >= 0).sum())
-        title += f": {num_found} of {len(annotated)} annotated objects found within 2 m"
+        title += f": {num_found} of {count_of(len(annotated), 'annotated object')} found within 2 m"
     title += f"; {left_out}" if left_out else ""
     point = returns_word(kind_of(frame, cloud))
     return overview(

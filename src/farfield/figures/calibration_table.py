@@ -10,6 +10,7 @@ from statistics import median
 from typing import Any
 
 from farfield.metrics.result import table
+from farfield.vocabulary.counts import count_of
 
 _SIGMAS = 2.0
 _PICKED_PX, _BOARD_PX, _COVERED = 5.0, 1.0, 0.75
@@ -139,9 +140,12 @@ def _is_unobserved(name: str, notes: str) -> bool:
 def _residual(result: Mapping[str, Any]) -> str:
     if result["kind"] == "board":
         pixels = list(result["error_px"].values())
-        return f"median {median(pixels):.2f} px over {len(pixels)} pictures, {len(result['left_out'])} left out"
+        return (
+            f"median {median(pixels):.2f} px over {count_of(len(pixels), 'picture')}, "
+            f"{len(result['left_out'])} left out"
+        )
     if result["kind"] == "lidar-lidar":
-        return f"{result['rms_cm']:.1f} cm from the planes, {result['pairs']:,} points"
+        return f"{result['rms_cm']:.1f} cm from the planes, {count_of(result['pairs'], 'point', spec=',')}"
     if result.get("from") == "pairs":
         pixels = result["residual_px"]
         return f"median {median(pixels):.1f} px, largest {max(pixels):.1f} px, of {len(pixels)} picks"

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from farfield.figures.style import INK, MUTED, SIDES, house_style, new_figure
-from farfield.inspection.comparison import ComparedDataset
+from farfield.inspection.comparison import ComparedDataset, ToldApartClouds
 from farfield.vocabulary.conditions import CONDITIONS, WEATHER_COLOURS, condition_name
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.patterns import PATTERNS
 from farfield.vocabulary.published_tables import ROW_QUANTILES_DB, SHARES_NEAR_HORIZON
 
@@ -67,6 +68,57 @@ def elevation(sides: Sequence[ComparedDataset]) -> "Figure | None":
     return figure
 
 
+def roadside(sides: Sequence[ComparedDataset]) -> "Figure | None":
+    """Cumulative share of patches by their thickness."""
+    series = [(*one[:2], *one[3:]) for one in _series(sides) if one[1] in one[0].background]
+    drawn = [(*one, np.concatenate([sample.patches[:, 0] for sample in one[0].background[one[1]]])) for one in series]
+    drawn = [one for one in drawn if len(one[-1])]
+    if not drawn:
+        return None
+    with house_style():
+        figure = new_figure(7.0, 4.3)
+        axes = figure.subplots()
+        for side, name, colour, dash, log_variance in drawn:
+            thickness_cm = np.sort(100 * np.exp(log_variance / 2))
+            share = (np.arange(len(thickness_cm)) + 0.5) / len(thickness_cm)
+            axes.plot(thickness_cm, share, color=colour, ls=dash, lw=1.7, label=f"{side.title}, {name}")
+        axes.set(xscale="log", xlim=(0.3, 40), ylim=(0, 1), xlabel="thickness (cm)", ylabel="share of patches")
+        axes.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
+        axes.minorticks_off()
+        axes.grid(visible=True)
+        _legend(figure, axes)
+    return figure
+
+
+def telling_features(roadsides: ToldApartClouds) -> "Figure | None":
+    """Area under the ROC of each feature of the roadside's patches, and of a classifier of all; a panel a cloud."""
+    if not roadsides.apart:
+        return None
+    with house_style():
+        figure = new_figure(11.0, 0.5 + 3.2 * len(roadsides.apart))
+        panels = figure.subplots(len(roadsides.apart), 1, squeeze=False).ravel()
+        for axes, (cloud, apart) in zip(panels, roadsides.apart.items(), strict=True):
+            rows = np.arange(len(apart.features))
+            axes.plot([*apart.features.values()], rows, ls="none", marker="o", color=SIDES[0], label="one feature")
+            results = [("of all seven", apart, SIDES[0])]
+            if cloud in roadsides.floor:
+                floor = roadsides.floor[cloud]
+                at = [floor.features[name] for name in apart.features]
+                axes.plot(at, rows, ls="none", marker="o", mfc="none", color=MUTED, label="one feature, the floor")
+                results.append(("of all seven, the floor", floor, MUTED))
+            for label, result, colour in results:
+                if result.by_classifier is not None:
+                    axes.axvline(result.by_classifier, color=colour, lw=1.4, label=label)
+                if result.classifier_interval is not None:
+                    axes.axvspan(*result.classifier_interval, color=colour, alpha=0.15, lw=0)
+            axes.set_yticks(rows, [*apart.features])
+            axes.invert_yaxis()
+            axes.set(xlim=(0.48, 1.0), xlabel="area under the ROC", title=cloud)
+            axes.grid(visible=True, axis="x")
+        _legend(figure, panels[0], columns=4)
+    return figure
+
+
 def points_in_vehicles(sides: Sequence[ComparedDataset]) -> "Figure | None":
     """Hexagons of boxes over distance and points, their medians and fitted lines; the last panel overlays them.
 
@@ -98,7 +150,9 @@ def points_in_vehicles(sides: Sequence[ComparedDataset]) -> "Figure | None":
             slope = "too few boxes for a line"
             if fit["slope"] is not None:
                 slope = f"slope {fit['slope']:.2f}, {fit['level']:.0f} at 50 m"
-            axes.set_title(f"{side.title}, {name}\n{len(boxes['range_m']):,} boxes; {slope}")
+            axes.set_title(
+                f"{side.title}, {name}\n{count_of(len(boxes['range_m']), 'box', 'boxes', spec=',')}; {slope}"
+            )
             if overlaid:
                 _draw_medians(panels[len(drawn)], fit, colour, dash, label=f"{side.title}, {name}")
         for axes in panels[:count]:

@@ -8,6 +8,7 @@ import numpy as np
 from farfield.figures.report_text import pattern_title
 from farfield.figures.style import ANNOTATED, INK, MUTED, PAPER, PATTERNS, house_style, new_figure
 from farfield.vocabulary.conditions import TIME_COLOURS, WEATHER_COLOURS, WEATHERS
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -260,7 +261,7 @@ def points_by_range(objects: Mapping[str, Any]) -> "Figure":
                 )
                 axes.plot(*_means(range_m[shown], count[shown]), color=colour, lw=1.8)
             axes.set(xlim=(0, _REACH_M), ylim=(0.4, 1e4), xlabel="range (m)")
-            axes.set_title(f"{pattern_title(name)}: {int(shown.sum()):,} boxes")
+            axes.set_title(f"{pattern_title(name)}: {count_of(int(shown.sum()), 'box', 'boxes', spec=',')}")
         panels[0].set_ylabel("points inside the annotated box")
     return figure
 

@@ -12,6 +12,7 @@ from farfield.figures.style import ANNOTATED, INK, MUTED, PATTERNS, PREDICTED, T
 from farfield.frame import Cloud
 from farfield.metrics.detections import protocol_of
 from farfield.metrics.presenting import CurvePanel
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -147,7 +148,7 @@ def scan_patterns(clouds: Mapping[str, Cloud], *, edges_m: Sequence[float] = RAN
         for column, (name, cloud) in enumerate(clouds.items()):
             view, above = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
             _draw_view(view, cloud)
-            view.set_title(f"{pattern_title(name)}: {len(cloud):,} points")
+            view.set_title(f"{pattern_title(name)}: {count_of(len(cloud), 'point', spec=',')}")
             view.set_ylabel("elevation (degrees)" if column == 0 else "")
             draw_birdseye(above, cloud, point_size=0.6, rings_m=edges_m)
             above.set_ylabel("y left (m)" if column == 0 else "")

@@ -17,6 +17,7 @@ from farfield.inspection.radar_frame import RadarLook
 from farfield.radar.axes import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M, CUBE_Z_M, KRADAR_AXES
 from farfield.radar.views import PRODUCTS, PolarPeaks, radar_views
 from farfield.vocabulary.conditions import CONDITIONS
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.kradar import REGIONS_M
 from farfield.vocabulary.scores import SHOWN_SCORE
 
@@ -440,7 +441,7 @@ def _draw_lidar(axes: "Axes", view: FrameView, lidar: str) -> None:
     _corridor(axes, INK)
     _boxes(axes, _asked(view.frame.boxes), ANNOTATED, 2.0, 4)
     _boxes(axes, _shown(view, lidar), PATTERNS[1], 1.2, 5)
-    axes.set_title(f"{_weather(view)}: LiDAR, {len(cloud):,} points")
+    axes.set_title(f"{_weather(view)}: LiDAR, {count_of(len(cloud), 'point', spec=',')}")
 
 
 def _weather(view: FrameView) -> str:

@@ -8,6 +8,7 @@ from farfield.figures.tables import Results, range_name
 from farfield.metrics.detections import Protocol
 from farfield.metrics.presenting import BASICS, Presentation, Words
 from farfield.metrics.result import Subject, subject_of
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.patterns import PATTERN_NOTES
 
 _SENSORS: Mapping[str, tuple[str, str]] = {
@@ -104,7 +105,8 @@ def scope(results: Results) -> str:
         number = counts(result)
         if number:
             frames = number.get("frames_given", number.get("frames", 0))
-            text = f"{frames:,} frames with {number.get('annotated', 0):,} annotated objects"
+            text = f"{count_of(frames, 'frame', spec=',')} with "
+            text += f"{count_of(number.get('annotated', 0), 'annotated object', spec=',')}"
             groups.setdefault(text, []).append(_short(name))
     if len(groups) == 1 and len(results) > 1:
         return f"Scored: {next(iter(groups))}, the same in {_enumerated(next(iter(groups.values())))}."

@@ -130,6 +130,23 @@ def figure_uri(figure: "Figure", kind: Kind = "svg", *, dpi: int = 170) -> str:
     return data_uri(figure_bytes(figure, kind, dpi=dpi), mime)
 
 
+def save_figure(path: Path, figure: "Figure", *, dpi: int) -> None:
+    """Draw a figure into a file of any kind that matplotlib writes, all or nothing; its folder is made.
+
+    Raises:
+        ConfigError: If the kind of picture that the file's suffix names is not known.
+    """
+    from farfield.files.atomic import open_atomic
+
+    kind = path.suffix.lower().removeprefix(".") or "png"
+    kinds = figure.canvas.get_supported_filetypes()
+    if kind not in kinds:
+        raise ConfigError(f"picture: expected a name that ends with one of {', '.join(sorted(kinds))}, got {path.name}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open_atomic(path) as handle:
+        figure.savefig(handle, format=kind, dpi=dpi)
+
+
 def check_picture(path: Path) -> None:
     """Refuse a picture whose kind is not known.
 

@@ -10,6 +10,7 @@ from farfield.metrics.comparing import convention_text, differing_settings, prot
 from farfield.metrics.detections import Protocol, presentation_of, protocol_of
 from farfield.metrics.result import at, table, value_at
 from farfield.vocabulary.conditions import CONDITIONS
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.published_tables import KRADAR_TABLES
 
 Results = Mapping[str, Mapping[str, Any]]
@@ -317,7 +318,7 @@ def class_table(result: Mapping[str, Any], parts: Mapping[str, Any]) -> str:
     rows: dict[str, Any] = dict(parts.get("classes") or {})
     mean = parts.get("mean_of_classes")
     if mean:
-        rows[f"mean of {len(mean['of'])} classes"] = mean
+        rows[f"mean of {count_of(len(mean['of']), 'class', 'classes')}"] = mean
     protocol = protocol_of(result)
     present = list(dict.fromkeys(name for row in rows.values() for name in row.get("figures") or ()))
     names = [name for name in _main_figures(protocol, result) if name in present] or present

@@ -12,6 +12,7 @@ from farfield.files.atomic import write_bytes
 from farfield.frame.drive import Key
 from farfield.metrics.detections import Detections
 from farfield.metrics.frames import frame_order
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,9 +68,13 @@ def trails_picture(tracks: Detections) -> "Figure":
             keys = sorted((key for key in tracks.boxes if key[0] == name), key=frame_order)
             path = np.array([poses[key][:2, 3] for key in keys if key in poses]).reshape(-1, 2)
             _draw(axes, trails[name], path)
-            axes.set_title(f"{name or 'tracks'}: {len(trails[name])} tracks, {len(keys)} frames")
+            axes.set_title(
+                f"{name or 'tracks'}: {count_of(len(trails[name]), 'track')}, {count_of(len(keys), 'frame')}"
+            )
         if len(trails) > len(shown):
-            figure.suptitle(f"the first {len(shown)} of {len(trails)} sequences", x=0.01, ha="left", color=MUTED)
+            figure.suptitle(
+                f"the first {len(shown)} of {count_of(len(trails), 'sequence')}", x=0.01, ha="left", color=MUTED
+            )
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Whether clouds and boxes stand in metres, x forward, y left, z up: the judgement of doctor, predict, evaluate, train.
+"""Whether clouds and boxes stand in metres, x forward, y left, z up: the judgement of doctor and all that detects.
 
 It is made from the data alone, for files do not say. What a cloud cannot tell: whether y points left or right where z
 points up (a mirrored road is a road), and which way a sensor that sees all round looks where nothing is annotated.
@@ -82,7 +82,7 @@ def first_doubts(data: Dataset, *, cloud: str | None = None, frames: int = _FRAM
         try:
             frame = data[index]
             name = cloud or next((name for name in frame.clouds if _is_lidar(frame, name)), None)
-            if name is not None and name in frame.clouds:
+            if name is not None and name in frame.clouds and _is_lidar(frame, name):
                 points.append(frame.clouds[name].points_m)
             if frame.boxes is not None:
                 boxes.append(frame.boxes)

@@ -1,6 +1,5 @@
 """One of two data sets that are set side by side: its statistics as plain data, and how they are counted."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,8 +9,10 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.errors import ConfigError, FarfieldError
+from farfield.files.json_text import read_json
 from farfield.frame.provenance import SIMULATION_FILE, is_simulated
 from farfield.inspection.statistics import Statistics
+from farfield.inspection.statistics.background import BackgroundSample, ToldApart, tell_apart
 from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.vocabulary.kradar import OUSTER_LINES
 from farfield.vocabulary.patterns import PATTERNS
@@ -28,12 +29,14 @@ class ComparedDataset:
         summary: Its figures: ``farfield.inspection.statistics.Statistics.summary()``.
         arrays: Its arrays: ``Statistics.arrays()``.
         path: Where it was read from.
+        background: Samples of the roadside by cloud.
     """
 
     name: str
     summary: Mapping[str, Any]
     arrays: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
     path: str = ""
+    background: Mapping[str, Sequence[BackgroundSample]] = field(default_factory=dict)
 
     @property
     def simulated(self) -> bool:
@@ -82,7 +85,8 @@ def count_dataset(
     summary = statistics.summary()
     if summary["simulated"] is None and is_simulated(data.root):
         summary["simulated"] = True
-    return ComparedDataset(name, summary, {**statistics.arrays(), **_sweeps(data)}, str(data.root))
+    samples = {name: tally.samples for name, tally in statistics.background.items()}
+    return ComparedDataset(name, summary, {**statistics.arrays(), **_sweeps(data)}, str(data.root), samples)
 
 
 _SWEEP_POINTS = 40_000
@@ -134,6 +138,57 @@ def pair_clouds(
     return renamed, list(pairs.items())
 
 
+@dataclass(frozen=True, kw_only=True)
+class ToldApartClouds:
+    """How well the roadsides of two data sets are told apart, by cloud that both have.
+
+    Args:
+        apart: The two data sets.
+        floor: The second of them and a third, of another road and perhaps another sensor: what differs among real sets
+            anyway; empty where there is no third.
+        floor_name: What the third is called.
+    """
+
+    apart: Mapping[str, ToldApart] = field(default_factory=dict)
+    floor: Mapping[str, ToldApart] = field(default_factory=dict)
+    floor_name: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as JSON values."""
+        tree: dict[str, Any] = {"clouds": {name: result.to_json() for name, result in self.apart.items()}}
+        if self.floor:
+            floor = {name: result.to_json() for name, result in self.floor.items()}
+            tree |= {"floor": {"name": self.floor_name, "clouds": floor}}
+        return tree
+
+
+def told_apart(sides: Sequence[ComparedDataset], floor: ComparedDataset | None = None) -> ToldApartClouds:
+    """How well the roadsides of two data sets are told apart.
+
+    Args:
+        sides: Both; of one alone nothing is told.
+        floor: A third, to which the second is held: its cloud of the same name, else its first.
+    """
+    if len(sides) != 2:
+        return ToldApartClouds()
+    first, second = (side.background for side in sides)
+    pairs = {name: (first[name], second[name]) for name in first if name in second}
+    third = {} if floor is None else {name: floor.background.get(name) or _first(floor.background) for name in pairs}
+    return ToldApartClouds(
+        apart=_told({name: tell_apart(*pair) for name, pair in pairs.items()}),
+        floor=_told({name: tell_apart(second[name], samples) for name, samples in third.items()}),
+        floor_name="" if floor is None else floor.name,
+    )
+
+
+def _told(results: Mapping[str, ToldApart | None]) -> dict[str, ToldApart]:
+    return {name: result for name, result in results.items() if result is not None}
+
+
+def _first(background: Mapping[str, Sequence[BackgroundSample]]) -> Sequence[BackgroundSample]:
+    return next(iter(background.values()), ())
+
+
 def _with_clouds(side: ComparedDataset, names: Mapping[str, str], *, alone: bool) -> ComparedDataset:
     """A side with some clouds under other names, and perhaps only those."""
     clouds = {names.get(n, n): c for n, c in side.summary.get("clouds", {}).items() if n in names or not alone}
@@ -142,7 +197,8 @@ def _with_clouds(side: ComparedDataset, names: Mapping[str, str], *, alone: bool
         kind, slash, name = key.partition("/")
         if not slash or name in names or not alone:
             arrays[f"{kind}{slash}{names.get(name, name)}"] = array
-    return replace(side, summary={**side.summary, "clouds": clouds}, arrays=arrays)
+    background = {names.get(n, n): samples for n, samples in side.background.items() if n in names or not alone}
+    return replace(side, summary={**side.summary, "clouds": clouds}, arrays=arrays, background=background)
 
 
 def has_sensors(data: Dataset) -> bool:
@@ -161,10 +217,10 @@ def shots_of(root: Path) -> dict[str, int]:
     """Shots a frame by cloud, from the settings that ``farfield simulate`` leaves beside its frames; else nothing."""
     for folder in (root, root.absolute().parent):
         try:
-            preset = json.loads((folder / SIMULATION_FILE).read_text("utf-8"))["preset"]
+            preset = read_json(folder / SIMULATION_FILE)["preset"]
             shots = preset.get("lidar", preset)
             lines, columns = int(shots["lines"]), int(shots["columns"])
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        except (FarfieldError, OSError, ValueError, LookupError, TypeError, AttributeError):
             continue
         rows = dict.fromkeys(PATTERNS, lines) | OUSTER_LINES
         return {name: count * columns for name, count in rows.items()}

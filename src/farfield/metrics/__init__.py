@@ -1,4 +1,4 @@
-"""Scores of 3D detections: DDS and wDDS (Cirrus), nuScenes, KITTI, K-Radar, and protocols of other packages."""
+"""Scores of 3D detections: DDS (Cirrus), nuScenes, Argoverse 2, Waymo, KITTI, K-Radar, and those of other packages."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -14,6 +14,8 @@ from farfield.metrics.presenting import Presenter
 from farfield.metrics.result import Result
 
 if TYPE_CHECKING:
+    from farfield.metrics.argoverse2.evaluation import Argoverse2Result, evaluate_argoverse2
+    from farfield.metrics.argoverse2.settings import Argoverse2Settings
     from farfield.metrics.centre.dds import DdsResult, DdsSettings, evaluate_dds
     from farfield.metrics.centre.nuscenes import NuScenesResult, NuScenesSettings, evaluate_nuscenes
     from farfield.metrics.kitti.evaluation import KittiResult, KittiSettings, evaluate_kitti
@@ -22,9 +24,13 @@ if TYPE_CHECKING:
     from farfield.metrics.tracking.nuscenes import NuScenesTrackingResult, NuScenesTrackingSettings
     from farfield.metrics.tracking.protocol import TrackingResult
     from farfield.metrics.tracking.scene import TrackingSettings
+    from farfield.metrics.waymo.evaluation import WaymoResult, evaluate_waymo
+    from farfield.metrics.waymo.settings import WaymoLetSettings, WaymoSettings
 
 __all__ = [
     "PROTOCOLS",
+    "Argoverse2Result",
+    "Argoverse2Settings",
     "Bootstrap",
     "DdsResult",
     "DdsSettings",
@@ -42,10 +48,15 @@ __all__ = [
     "Result",
     "TrackingResult",
     "TrackingSettings",
+    "WaymoLetSettings",
+    "WaymoResult",
+    "WaymoSettings",
+    "evaluate_argoverse2",
     "evaluate_dds",
     "evaluate_kitti",
     "evaluate_kradar",
     "evaluate_nuscenes",
+    "evaluate_waymo",
     "kradar_settings",
     "protocol",
     "score",
@@ -53,6 +64,8 @@ __all__ = [
 ]
 
 _MODULES = {
+    "argoverse2.evaluation": ("Argoverse2Result", "evaluate_argoverse2"),
+    "argoverse2.settings": ("Argoverse2Settings",),
     "centre.dds": ("DdsResult", "DdsSettings", "evaluate_dds"),
     "centre.nuscenes": ("NuScenesResult", "NuScenesSettings", "evaluate_nuscenes"),
     "kitti.evaluation": ("KittiResult", "KittiSettings", "evaluate_kitti"),
@@ -61,6 +74,8 @@ _MODULES = {
     "tracking.nuscenes": ("NuScenesTrackingResult", "NuScenesTrackingSettings"),
     "tracking.protocol": ("TrackingResult",),
     "tracking.scene": ("TrackingSettings",),
+    "waymo.evaluation": ("WaymoResult", "evaluate_waymo"),
+    "waymo.settings": ("WaymoLetSettings", "WaymoSettings"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
@@ -94,8 +109,8 @@ def score(
         predictions: Scored boxes by (sequence, frame). A frame without an entry has no detections.
         annotations: Annotated boxes by (sequence, frame), or annotations with all that is known of the boxes: every
             frame that counts, those without boxes too.
-        protocol: ``"dds"``, ``"nuscenes"``, ``"kitti"``, ``"kradar"``, ``"kradar-compat:VARIANT"``, a registered one,
-            or the object.
+        protocol: ``"dds"``, ``"nuscenes"``, ``"argoverse2"``, ``"waymo"``, ``"waymo-let"``, ``"kitti"``, ``"kradar"``,
+            ``"kradar-compat:VARIANT"``, a registered one, or the object.
         conditions: For K-Radar's protocols: weather, road and time of the frames.
         **settings: The protocol's settings: ``label`` (the class with most annotated boxes unless given, for K-Radar's
             protocols all that their settings name), ``range_bins_m``, ``region``, ``bootstrap``...

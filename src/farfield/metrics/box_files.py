@@ -4,8 +4,9 @@ Boxes of KITTI stay in the camera that they were given in; only its axes are tur
 and centres are lifted from the bottom face to the middle. Ranges are then distances from the camera.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from farfield.errors import ConfigError, FileFormatError
 from farfield.files.boxes_csv import BoxRows, read_boxes_csv, zeros_note
 from farfield.files.coordinates import read_coordinates
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
+from farfield.files.limits import open_file
 from farfield.files.nuscenes import read_results_in
 from farfield.files.stand_ins import check_itself
 from farfield.frame.annotation import Annotation
@@ -22,11 +24,14 @@ from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import upright_from_camera
 from farfield.metrics.detections import Detections
+from farfield.metrics.frames import check_crowd
 from farfield.metrics.result import labels_fingerprint
 from farfield.metrics.sanity import beyond_a_turn, wild_headings
+from farfield.metrics.submissions import SubmittedFrame, argoverse2_frames, waymo_frames
+from farfield.vocabulary.counts import count_of
 
 _Details = dict[Key, dict[str, np.ndarray]]
-FORMATS = ("boxes-csv", "kitti", "kitti-tracking", "nuscenes")
+FORMATS = ("boxes-csv", "kitti", "kitti-tracking", "nuscenes", "argoverse2", "waymo")
 
 
 def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-csv", reference: str = "") -> Detections:
@@ -35,9 +40,10 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     Args:
         predictions: File or folder of a detector's boxes.
         labels: File or folder of annotated boxes.
-        format: ``"boxes-csv"``, ``"kitti"`` (a file a frame), ``"kitti-tracking"`` (a file a sequence) or
+        format: ``"boxes-csv"``, ``"kitti"`` (a file a frame), ``"kitti-tracking"`` (a file a sequence),
             ``"nuscenes"`` (result JSON of detections or tracks; its samples are frames of one sequence without a name,
-            tracks are numbered in the order in which they appear).
+            tracks are numbered in the order in which they appear), ``"argoverse2"`` (feather: frames are stamps of a
+            log) or ``"waymo"`` (Objects or Submission: frames are stamps of a context).
         reference: Coordinates in which boxes stand whose files do not name them.
 
     Returns:
@@ -65,7 +71,10 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     fingerprint = labels_fingerprint({key: Annotation(boxes=boxes) for key, boxes in annotated.boxes.items()})
     _add_empty_frames(predicted.boxes, annotated.boxes, notes)
     if predicted.without_score:
-        notes.append(f"{predicted.without_score} predictions have no score; each counts with score 1")
+        notes.append(
+            f"{count_of(predicted.without_score, 'prediction has', 'predictions have')} "
+            "no score; each counts with score 1"
+        )
     if annotated.scored_rows and predicted.without_score:
         notes.append("the labels have scores and the predictions have none: are the two files exchanged?")
     notes += _mappings_beside(Path(predictions), Path(labels))
@@ -101,9 +110,12 @@ def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", refe
     root, predicted = Path(predictions), _SideBoxes(scored=True)
     if not root.exists():
         raise ConfigError(f"{root}: expected a file or a folder, found nothing there")
+    _refuse_pickle(root)
     for stem, path in sorted(_files(root).items()) if root.is_dir() else [(root.stem, root)]:
         _READERS[format](predicted, path, stem if root.is_dir() or format != "boxes-csv" else "")
-    note = f"{predicted.without_score} predictions have no score; each counts with score 1"
+    note = (
+        f"{count_of(predicted.without_score, 'prediction has', 'predictions have')} no score; each counts with score 1"
+    )
     _name_coordinates(predicted, root, reference)
     return Detections(
         reference=predicted.reference,
@@ -150,6 +162,7 @@ class _SideBoxes:
     def add(self, path: Path, key: Key, boxes: Boxes, details: dict[str, np.ndarray] | None = None) -> None:
         if key in self.boxes:
             raise ConfigError(f"{path}: expected each frame in one file, got {key} for the second time")
+        check_crowd(f"{path}, frame {key}", len(boxes))
         self.boxes[key] = boxes
         if details is not None:
             self.details[key] = details
@@ -170,8 +183,38 @@ class _SideBoxes:
         return score
 
 
+_FROM_PICKLE = (
+    "python -c \"import csv, pickle; w = csv.writer(open('boxes.csv', 'w', newline='')); "
+    "w.writerow('frame label x y z l w h yaw_rad score'.split()); "
+    "[w.writerow([a['frame_id'], n, *b[:7], s]) for a in pickle.load(open('result.pkl', 'rb')) "
+    "for n, b, s in zip(a['name'], a['boxes_lidar'], a['score'])]\""
+)
+"""Of OpenPCDet's results: a list of frames with name, score, boxes_lidar (centre, length, width, height, heading)."""
+
+
+def _refuse_pickle(path: Path) -> None:
+    """Refuse a pickle, which runs what it likes when it is read.
+
+    Raises:
+        FileFormatError: If the name or the first bytes are those of one.
+    """
+    if not path.is_file():
+        return
+    with open_file(path, max_bytes=None) as handle:
+        head = handle.read(2)
+    if path.suffix in (".pkl", ".pickle") or (
+        head[:1] == b"\x80" and head[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")
+    ):
+        fix = (
+            f"Where you trust it, this line makes boxes-csv of OpenPCDet's result.pkl, centres and all: {_FROM_PICKLE}"
+        )
+        expected = "a file of boxes; a pickle is never opened, since it runs what stands in it"
+        raise FileFormatError(path, where="the file", expected=expected, got="a pickle", fix=fix)
+
+
 def _pairs(predictions: Path, labels: Path, notes: list[str]) -> list[tuple[Path | None, Path]]:
     for path in (predictions, labels):
+        _refuse_pickle(path)
         if not path.exists():
             raise ConfigError(f"{path}: expected a file or a folder, found nothing there")
     if predictions.is_dir() != labels.is_dir():
@@ -188,7 +231,8 @@ def _pairs(predictions: Path, labels: Path, notes: list[str]) -> list[tuple[Path
     missing = len(label_files) - len(by_stem)
     if missing:
         notes.append(
-            f"{missing} of {len(label_files)} label files have no file of predictions; they count as nothing found"
+            f"{missing} of {count_of(len(label_files), 'label file')} have no "
+            "file of predictions; they count as nothing found"
         )
     return [(by_stem.get(stem), path) for stem, path in sorted(label_files.items())]
 
@@ -312,7 +356,10 @@ def _add_empty_frames(predicted: dict[Key, Boxes], annotated: dict[Key, Boxes], 
     for key in added:
         annotated[key] = Boxes.empty()
     if added:
-        note = f"{len(added)} frames have predictions but no line of labels; they count as annotated empty"
+        note = (
+            f"{count_of(len(added), 'frame has', 'frames have')} predictions "
+            "but no line of labels; they count as annotated empty"
+        )
         notes.append(f"{note}. {zeros}" if zeros else note)
 
 
@@ -351,7 +398,7 @@ def _read_kitti(side: _SideBoxes, path: Path, stem: str) -> None:
 
 def _read_kitti_tracking(side: _SideBoxes, path: Path, stem: str) -> None:
     check_itself(path)
-    with path.open("rb") as handle:
+    with open_file(path, max_bytes=None) as handle:
         commas = b"," in handle.readline(4096)
     tracks: KittiTracks = read_detections(path) if commas else read_tracking(path)
     dontcare = tracks.objects.type == "DontCare"
@@ -384,9 +431,20 @@ def _read_nuscenes(side: _SideBoxes, path: Path, stem: str) -> None:
             track_id=np.array(ids, dtype=np.int64) if sample.track else None,
             velocity_m_s=sample.velocity_m_s,
         )
-        side.add(path, ("", token), boxes)
+        attributes = {"attribute": np.array(sample.attribute, dtype=np.str_)} if any(sample.attribute) else None
+        side.add(path, ("", token), boxes, attributes)
         if sample.ego_m is not None:
             side.ego_m["", token] = sample.ego_m
+
+
+def _read_submission(
+    reader: Callable[..., Iterator[SubmittedFrame]], reference: str, side: _SideBoxes, path: Path, stem: str
+) -> None:
+    del stem
+    side.stands_in(path, reference)
+    for frame in reader(path, scored=side.scored):
+        boxes = frame.boxes.replace(score=side.scores(frame.boxes.score, len(frame.boxes)))
+        side.add(path, frame.key, boxes, dict(frame.details))
 
 
 def _split(side: _SideBoxes, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:
@@ -404,6 +462,7 @@ def _split(side: _SideBoxes, path: Path, objects: KittiObjects) -> tuple[Boxes, 
         "truncation": real.truncation,
         "occlusion": real.occlusion,
         "box_px": real.box_px,
+        "alpha_rad": real.alpha_rad,
         "dontcare_px": objects.box_px[dontcare],
     }
     return kitti_boxes(real, score=side.scores(real.score, len(real))), details
@@ -414,6 +473,8 @@ _READERS: dict[str, Callable[[_SideBoxes, Path, str], None]] = {
     "kitti": _read_kitti,
     "kitti-tracking": _read_kitti_tracking,
     "nuscenes": _read_nuscenes,
+    "argoverse2": partial(_read_submission, argoverse2_frames, "ego"),
+    "waymo": partial(_read_submission, waymo_frames, ""),
 }
 
 

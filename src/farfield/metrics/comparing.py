@@ -1,21 +1,20 @@
 """Results side by side: read from files, set into tables, never two conventions in one column."""
 
-import json
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from farfield.errors import ConfigError, FileFormatError, plain
-from farfield.files.atomic import read_bytes
+from farfield.errors import ConfigError
+from farfield.files.json_text import read_json
 from farfield.metrics.detections import Protocol, protocol_of
 from farfield.metrics.result import Subject, at, figure_names, subject_of, table, value_at
 from farfield.metrics.result_json import check_parts, check_result
 from farfield.vocabulary.conditions import CONDITIONS
+from farfield.vocabulary.counts import count_of
 
 Tree = Mapping[str, Any]
-_MAX_BYTES = 1 << 28
 _EVALUATION = "evaluation.json"
 _HOMES = {"range": ("ranges",), "visibility": ("visibility",)}  # others: conditions
 
@@ -119,7 +118,7 @@ def read_results(paths: Sequence[Path], names: Sequence[str] = ()) -> list[Compa
     for name, (_, tree) in zip(called, trees_by_name, strict=True):
         family, protocol = protocol_family(tree), protocol_of(tree)
         if protocol.several_classes:
-            classes = dict.fromkeys(tree["settings"].get("classes") or (), tree)
+            classes = dict.fromkeys(protocol.compared(tree), tree)
         else:
             classes = tree.get("labels") or {tree.get("label", ""): tree}
         entries += [
@@ -144,10 +143,7 @@ def _read(path: Path) -> dict[str, Tree]:
     """Results of a file: one of ``farfield score``, or those of each cloud of ``farfield evaluate``."""
     if not path.is_file():
         raise ConfigError(f"{path}: expected a JSON file of results, found none there")
-    try:
-        tree = json.loads(read_bytes(path, max_bytes=_MAX_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(path, where="the text", expected="JSON", got=plain(error)) from None
+    tree = read_json(path)
     inner = tree.get("results") if isinstance(tree, dict) else None
     results = inner if isinstance(inner, dict) and "protocol" not in tree else {"": tree}
     if isinstance(tree, dict) and results is inner:
@@ -206,8 +202,12 @@ def _footer(members: list[ComparedResult], letters: Mapping[str, str], *, by_ran
     lines += [f"row {entry.name}: {entry.subject}" for entry in members if entry.subject is not None]
     if not all(entry.same_data(members[0]) for entry in members):
         data = {entry.name: _data(entry) for entry in members}
-        counts = "; ".join(f"{name}: {frames} frames, {boxes} annotated" for name, (frames, boxes) in data.items())
-        lines.append(f"note: not the same data. {counts}")
+        counts = "; ".join(
+            f"{name}: {count_of(frames, 'frame')}, {boxes} annotated" for name, (frames, boxes) in data.items()
+        )
+        alike = len(set(data.values())) == 1
+        why = ". Their files, the options with which they were read, or their labels differ" if alike else ""
+        lines.append(f"note: not the same data. {counts}{why}")
     wrapped = (textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
     return "\n".join(wrapped)
 

@@ -37,6 +37,20 @@ _MAX_ELEMENTS = 2_000_000  # of one array: weights are taken in chunks of rows
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class TabledCurve:
+    """Precision and score by recall as a protocol's own rule samples them, each of shape (c,)."""
+
+    recall: Float[np.ndarray, " c"]
+    precision: Float[np.ndarray, " c"]
+    confidence: Float[np.ndarray, " c"]
+
+    def sampled(self) -> dict[str, list[float]]:
+        """The curve as JSON values."""
+        values = {"recall": self.recall, "precision": self.precision, "confidence": self.confidence}
+        return {name: value.tolist() for name, value in values.items()}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Ranking:
     """The predictions of one class at one threshold, best first, with what each turned out to be.
 
@@ -192,19 +206,24 @@ def mean_errors(curves: Curves, error: Float[np.ndarray, " h"], *, method: str =
 
     Args:
         curves: The curves.
-        error: Error of each match in rank order, shape (h,).
+        error: Error of each match in rank order, shape (h,); NaN where it is not known: such matches are passed over,
+            the running mean ahead of the first known one is 0, and 1 where none is known, as in the devkit.
         method: ``"nuscenes"`` or ``"tp_mean"``, see the formulas above.
     """
     means = np.where(curves.has_annotated, 1.0, np.nan)
     rows = curves.has_annotated & curves.has_matches
     if not rows.any():
         return means
-    weighted, matched = (curves.weight * error)[rows], curves.matched[rows]
+    has_error = ~np.isnan(error)
+    weighted, matched = (curves.weight * np.where(has_error, error, 0.0))[rows], curves.matched[rows]
+    counted = matched if has_error.all() else np.cumsum((curves.weight * has_error)[rows], axis=1)
+    is_known = counted[:, -1] > 0
     if method == "tp_mean":
-        means[rows] = weighted.sum(axis=1) / matched[:, -1]
+        means[rows] = np.divide(weighted.sum(axis=1), counted[:, -1], out=np.ones(len(counted)), where=is_known)
         return means
     # The running mean by match; ahead of the first match that has weight it is that match's error.
-    running = np.divide(np.cumsum(weighted, axis=1), matched, out=np.zeros_like(matched), where=matched > 0)
+    running = np.divide(np.cumsum(weighted, axis=1), counted, out=np.zeros_like(matched), where=counted > 0)
+    running[~is_known] = 1.0
     first = np.argmax(matched > 0, axis=1)[:, None]
     is_ahead = np.arange(matched.shape[1]) < first
     running = np.where(is_ahead, np.take_along_axis(running, first, axis=1), running)

@@ -14,15 +14,16 @@ from operator import attrgetter
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Shaped
+from jaxtyping import Shaped
 
 from farfield.errors import ConfigError, FarfieldError
 from farfield.files.disk_dict import MappedView, alike
-from farfield.frame.annotation import Annotation, CameraField
+from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
+from farfield.metrics.annotated_fields import OutsideCounts, inside_field
 from farfield.metrics.bootstrap import Weighted
-from farfield.metrics.frames import BoxesByFrame, labels_of
+from farfield.metrics.frames import BoxesByFrame, check_crowd, labels_of
 from farfield.metrics.options import check_numbers, merged_relabel, option_text
 from farfield.metrics.presenting import Presentation, Presenter
 from farfield.metrics.result import (
@@ -101,7 +102,8 @@ class Protocol(ABC):
         del detections, settings
         raise ConfigError(
             f"protocol {self}: expected one whose figures can be resampled, to decide on differences; got one without. "
-            "Give its class a method weighted(detections, settings), or choose dds, nuscenes, kitti or kradar"
+            "Give its class a method weighted(detections, settings), or choose dds, nuscenes, argoverse2, waymo, kitti "
+            "or kradar"
         )
 
     def options(self) -> tuple[str, ...]:
@@ -177,6 +179,14 @@ class Protocol(ABC):
         """
         return {name: value_at(result, name) for name in figure_names(result)}
 
+    def compared(self, result: Mapping[str, Any]) -> Collection[str]:
+        """Of a result of several classes those of which ``compare-results`` has a table each, as ``ap/CLASS/...``.
+
+        Args:
+            result: Result JSON.
+        """
+        return tuple((result.get("settings") or {}).get("classes") or ())
+
     def inert(self, settings: Mapping[str, Any]) -> Collection[str]:
         """Settings on which no figure of the whole depends, so that results that differ in them share a column.
 
@@ -246,9 +256,14 @@ PROTOCOLS = Protocols(
     {
         "dds": "farfield.metrics.centre.dds:Dds",
         "nuscenes": "farfield.metrics.centre.nuscenes:NuScenes",
+        "nuscenes-detection": "farfield.metrics.centre.nuscenes_detection:DetectionTask",
+        "open-sweeps": "farfield.metrics.centre.open_sweeps:OpenSweepsProtocol",
         "kitti": "farfield.metrics.kitti.protocol:KittiProtocol",
         "kradar": "farfield.metrics.kradar.protocol:KRadarProtocol",
         "kradar-compat": "farfield.metrics.kradar.protocol:KRadarCompat",
+        "argoverse2": "farfield.metrics.argoverse2.protocol:Argoverse2Protocol",
+        "waymo": "farfield.metrics.waymo.protocol:WaymoProtocol",
+        "waymo-let": "farfield.metrics.waymo.protocol:WaymoLetProtocol",
         "tracking": "farfield.metrics.tracking.protocol:Tracking",
         "nuscenes-tracking": "farfield.metrics.tracking.nuscenes:NuScenesTracking",
     },
@@ -511,12 +526,13 @@ class Detections:
             notes.append(f"{len(strangers)} of {len(self.boxes)} frames are not annotated and do not count")
         boxes, annotations = alike(self.boxes), alike(self.annotations)
         details: dict[Key, Details] = {}
-        outside = _OutsideCounts()
+        outside = OutsideCounts()
         for key, annotation in self.annotations.items():
             predicted, rows = self.boxes.get(key, _NO_BOXES), self.prediction_details.get(key)
+            check_crowd(f"frame {key}", max(len(predicted), len(annotation.boxes)))
             if annotation.region is not None:
-                predicted_in = _inside(predicted, annotation.region)
-                annotated_in = _inside(annotation.boxes, annotation.region)
+                predicted_in = inside_field(predicted, annotation.region)
+                annotated_in = inside_field(annotation.boxes, annotation.region)
                 outside.add(annotation.region, predicted_in, annotated_in)
                 predicted = predicted if predicted_in.all() else predicted[predicted_in]
                 annotation = annotation if annotated_in.all() else annotation[annotated_in]
@@ -551,32 +567,6 @@ def _advice(counts: Mapping[str, int], detected: Mapping[str, None], label: str 
     guess = next((f"{name}:{meant}" for name in counts if (meant := closest_class(name, detected))), "")
     guess = guess or f"{label if label in counts else next(iter(counts))}:{next(iter(detected))}"
     return f"Name what is meant with --options relabel={guess} (relabel=, a mapping, in Python)"
-
-
-def _inside(boxes: Boxes, region: CameraField) -> Bool[np.ndarray, " n"]:
-    return region.contains(boxes.centre_m) if len(boxes) else np.zeros(0, dtype=bool)
-
-
-class _OutsideCounts:
-    """Counts of the boxes outside the annotated regions."""
-
-    def __init__(self) -> None:
-        self.sums: dict[str, tuple[int, ...]] = {}
-
-    def add(self, region: CameraField, predicted: Bool[np.ndarray, " n"], annotated: Bool[np.ndarray, " m"]) -> None:
-        """Count the boxes of a frame; the masks mark those inside."""
-        before = self.sums.get(str(region), (0, 0, 0, 0))
-        counts = (int((~predicted).sum()), int((~annotated).sum()), len(predicted), len(annotated))
-        self.sums[str(region)] = tuple(a + b for a, b in zip(before, counts, strict=True))
-
-    def notes(self) -> list[str]:
-        """A sentence for each region with boxes outside it."""
-        return [
-            f"{predicted} of {all_predicted} predicted and {annotated} of {all_annotated} annotated boxes have their "
-            f"centre outside {region}, where nothing was annotated; they do not count"
-            for region, (predicted, annotated, all_predicted, all_annotated) in self.sums.items()
-            if predicted or annotated
-        ]
 
 
 def _within_reach(result: Result, reach_m: float | None) -> Result:

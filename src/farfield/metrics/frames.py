@@ -1,10 +1,12 @@
 """Predicted and annotated boxes by frame: what the protocols share before they part."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from farfield.errors import ConfigError
 from farfield.frame.drive import Drive, Key
@@ -115,12 +117,17 @@ def in_region(boxes: Boxes, settings: ScoredRegion) -> Bool[np.ndarray, " n"]:
 
 def labels_of(parts: Mapping[Key, Boxes], relabel: Mapping[str, str]) -> Iterator[tuple[str, int]]:
     """Class names after relabelling with their numbers of boxes, most frequent first."""
+    yield from sorted(count_labels(parts, relabel).items(), key=lambda item: (-item[1], item[0]))
+
+
+def count_labels(parts: Mapping[Key, Boxes], relabel: Mapping[str, str]) -> dict[str, int]:
+    """Class names after relabelling with their numbers of boxes, in the order in which they come first."""
+    labels = chain.from_iterable(np.asarray(boxes.label).tolist() for boxes in parts.values())
     counts: dict[str, int] = {}
-    for boxes in parts.values():
-        for name in np.asarray(boxes.label).tolist():
-            name = relabel.get(name, name)
-            counts[name] = counts.get(name, 0) + 1
-    yield from sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    for name, count in Counter(labels).items():
+        name = relabel.get(name, name)
+        counts[name] = counts.get(name, 0) + count
+    return counts
 
 
 def nearest_first(boxes: Boxes, frame: Int[np.ndarray, " n"] | None = None) -> Int[np.ndarray, " n"]:
@@ -142,6 +149,84 @@ def frame_order(key: Key) -> tuple[str, int, int, str]:
     sequence, frame = key
     number = frame.isascii() and frame.isdigit() and len(frame) <= 20
     return (sequence, 0, int(frame), frame) if number else (sequence, 1, 0, frame)
+
+
+MAX_BOXES = 5_000
+"""Boxes of a frame on either side: no detector leaves so many."""
+MAX_PAIRS = 250_000
+"""Pairs of an annotated and a predicted box of a frame that may touch: 500 boxes that all lie upon one another."""
+_PAIRS_AT_ONCE = 2_000_000
+
+
+def check_crowd(where: str, count: int) -> None:
+    """Refuse a frame of more boxes than can be paired.
+
+    Args:
+        where: The frame, for messages.
+        count: Its boxes, predicted or annotated.
+
+    Raises:
+        ConfigError: If there are more than :data:`MAX_BOXES`.
+    """
+    if count > MAX_BOXES:
+        raise ConfigError(f"{where}: expected at most {MAX_BOXES:,} boxes in a frame, got {count:,}. {_CROWD_FIX}")
+
+
+_CROWD_FIX = "Suppress doubled boxes, leave out those of low scores, or write the frames apart."
+
+
+def near_pairs(
+    a_owner: Int[np.ndarray, " n"],
+    b_owner: Int[np.ndarray, " m"],
+    owners: int,
+    measure: Callable[[Int[np.ndarray, "p 2"]], Float[np.ndarray, " p"]],
+    frame_of_owner: Callable[[int], Key],
+) -> tuple[Int[np.ndarray, "q 2"], Float[np.ndarray, " q"]]:
+    """The pairs of boxes of one owner that are near by some measure, in the order of :func:`same_owner`.
+
+    Args:
+        a_owner: Frame, or frame and class, of each annotated box.
+        b_owner: Likewise of each predicted box, sorted.
+        owners: How many owners there are.
+        measure: How near the boxes of some pairs are, above 0 where they are.
+        frame_of_owner: The frame of an owner, for messages.
+
+    Returns:
+        Pairs (annotated, predicted) and their measures.
+
+    Raises:
+        ConfigError: If a frame has more than :data:`MAX_PAIRS` of them.
+    """
+    pairs, values = [], []
+    count = np.zeros(owners, dtype=np.int64)
+    for block in pairs_of_owners(a_owner, b_owner, owners):
+        pair = np.column_stack(block)
+        value = measure(pair)
+        pairs.append(pair[value > 0])
+        values.append(value[value > 0])
+        count += np.bincount(a_owner[pairs[-1][:, 0]], minlength=owners)
+        if count.max(initial=0) > MAX_PAIRS:
+            raise ConfigError(
+                f"frame {frame_of_owner(int(count.argmax()))}: expected at most {MAX_PAIRS:,} pairs of an annotated "
+                f"and a predicted box that may touch, got more. {_CROWD_FIX}"
+            )
+    return np.concatenate(pairs), np.concatenate(values)
+
+
+def pairs_of_owners(
+    a_owner: Int[np.ndarray, " n"], b_owner: Int[np.ndarray, " m"], owners: int
+) -> Iterator[tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]]:
+    """The pairs of :func:`same_owner`, in the same order, in blocks that do not fill the memory; at least one block."""
+    partners = np.cumsum(np.bincount(b_owner, minlength=owners)[a_owner])
+    start = 0
+    while True:
+        before = int(partners[start - 1]) if start else 0
+        stop = max(int(np.searchsorted(partners, before + _PAIRS_AT_ONCE, side="right")), min(start + 1, len(a_owner)))
+        a, b = same_owner(a_owner[start:stop], b_owner, owners)
+        yield a + start, b
+        start = stop
+        if start >= len(a_owner):
+            return
 
 
 def same_owner(

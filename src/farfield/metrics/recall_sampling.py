@@ -101,6 +101,8 @@ class ThresholdCounts:
         true: True positives, shape (thresholds, groups).
         false: False positives, shape (thresholds, groups).
         annotated: Boxes that must be found, shape (groups,).
+        worth: What the true positives are worth where not 1 each, shape (thresholds, groups); precision is then that
+            over all detections.
     """
 
     thresholds: list[float]
@@ -108,6 +110,7 @@ class ThresholdCounts:
     true: Float[np.ndarray, "t g"]
     false: Float[np.ndarray, "t g"]
     annotated: Int[np.ndarray, " g"]
+    worth: Float[np.ndarray, "t g"] | None = None
 
     def average_precisions(
         self, weights: Float[np.ndarray, "r g"], points: Sequence[int], *, gaps: bool = False
@@ -146,7 +149,8 @@ class ThresholdCounts:
     def _precision(self, weights: Float[np.ndarray, "r g"]) -> Float[np.ndarray, "r t"]:
         """Precision at the thresholds under group weights; 0 where nothing was predicted."""
         true, false = weights @ self.true.T, weights @ self.false.T
-        return np.divide(true, true + false, out=np.zeros_like(true), where=true + false > 0)
+        worth = true if self.worth is None else weights @ self.worth.T
+        return np.divide(worth, true + false, out=np.zeros_like(true), where=true + false > 0)
 
     def _smooth(self, weights: Float[np.ndarray, "r g"]) -> Float[np.ndarray, "r 41"]:
         """Precisions at recalls 0, 1/40 ... 1, interpolated in recall; NaN where nothing is annotated."""

@@ -14,13 +14,14 @@ a score 0.1 to 0.5 and go by in silence, so they are said beside it; nothing is 
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import permutations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import wrap_angle_rad
+from farfield.vocabulary.counts import count_of
 
 LEAST_PAIRS = 10
 _GATE_M, _GATE_RAD = 3.0, 0.06  # pairs lie nearer than the one and the other times the range: turns of 3 degrees
@@ -129,7 +130,9 @@ def _places(pairs: PairedRows) -> tuple[list[str], float]:
     best = min(left_m, key=lambda name: left_m[name])
     if left_m[best] > 0.5 * as_read:
         return [], 0.0
-    count = f"median of {len(predicted)} pairs; {as_read:.2g} m apart as read, {left_m[best]:.2g} m without it"
+    count = (
+        f"median of {count_of(len(predicted), 'pair')}; {as_read:.2g} m apart as read, {left_m[best]:.2g} m without it"
+    )
     if best == "turn" and abs(turn_rad) > _LEAST_TURN_RAD / 2:
         note = f"predicted boxes are turned by {np.rad2deg(turn_rad):+.1f} degrees about the sensor against the "
         return [note + f"annotated ones ({count}): a calibration, or another sensor's coordinates?"], turn_rad
@@ -154,23 +157,24 @@ def _frames_apart(pairs: PairedRows, keys: Sequence[Key]) -> Iterator[str]:
     numbers = numbers[counts >= _LEAST_OF_FRAME]
     for number in numbers.tolist():
         predicted, annotated = (side[pairs.frame == number, :2] for side in pairs[:2])
-        offset_m = np.median(predicted - annotated, axis=0)
+        offset_m = _median(predicted - annotated)
         bearing_rad = [np.arctan2(side[:, 1], side[:, 0]) for side in (predicted, annotated)]
-        turn_rad = float(np.median(wrap_angle_rad(bearing_rad[0] - bearing_rad[1])))
+        turn_rad = float(_median(wrap_angle_rad(bearing_rad[0] - bearing_rad[1])))
         left_m = {
             f"{offset_m[0]:+.2f} m in x and {offset_m[1]:+.2f} m in y": predicted - annotated - offset_m,
             f"a turn of {np.rad2deg(turn_rad):+.1f} degrees": predicted - _turned(annotated, turn_rad),
         }
-        off_m = {words: float(np.median(np.hypot(*rest.T))) for words, rest in left_m.items()}
+        off_m = {words: float(_median(np.hypot(*rest.T))) for words, rest in left_m.items()}
         best = min(off_m, key=lambda words: off_m[words])
-        as_read = float(np.median(np.hypot(*(predicted - annotated).T)))
+        as_read = float(_median(np.hypot(*(predicted - annotated).T)))
         if as_read > _FRAME_OFFSET_M and off_m[best] < 0.4 * as_read:
             motions[number] = (as_read, best)
     if len(motions) < max(3, 0.1 * len(numbers)):
         return
     worst = max(motions, key=lambda number: motions[number][0])
     yield (
-        f"in {len(motions)} of {len(numbers)} frames the predicted boxes are off by a motion of the frame's own, such "
+        f"in {len(motions)} of {count_of(len(numbers), 'frame')} the predicted "
+        "boxes are off by a motion of the frame's own, such "
         f"as {motions[worst][1]} in frame {' '.join(filter(None, keys[worst]))}: another time, the car's motion, or "
         "another calibration there?"
     )
@@ -201,13 +205,15 @@ def _heights(pairs: PairedRows) -> Iterator[str]:
         along, across = np.rad2deg(np.arctan(plane[1:]))
         yield (
             f"predicted boxes are tilted against the annotated ones: they rise by {along:+.1f} degrees along x and by "
-            f"{across:+.1f} along y, and stand {plane[0]:+.2f} m off at the sensor ({len(residual_m)} pairs): a "
+            f"{across:+.1f} along y, and stand {plane[0]:+.2f} m off at the "
+            f"sensor ({count_of(len(residual_m), 'pair')}): a "
             "calibration's pitch and roll, or a ground that is taken for flat?"
         )
         return
     if abs(middle_m) > max(_LEAST_OFFSET_M, spread_m * max(2.0, 8 / np.sqrt(len(residual_m)))):
         yield (
-            f"predicted boxes stand {middle_m:+.2f} m in z off the annotated ones (median of {len(residual_m)} pairs): "
+            f"predicted boxes stand {middle_m:+.2f} m in z off the annotated "
+            f"ones (median of {count_of(len(residual_m), 'pair')}): "
             "z is measured from another sensor, or from the ground?"
         )
 
@@ -226,7 +232,8 @@ def _headings(pairs: PairedRows, turned_rad: float) -> Iterator[str]:
     middle_rad += around_rad
     if len(gap_rad) >= _LEAST_OF_CHANCE and abs(mean) < _NO_RELATION:
         yield (
-            f"predicted headings bear no relation to the annotated ones ({len(gap_rad)} pairs): is yaw in radians, and "
+            "predicted headings bear no relation to the annotated ones "
+            f"({count_of(len(gap_rad), 'pair')}): is yaw in radians, and "
             "of these boxes?"
         )
         return
@@ -235,7 +242,7 @@ def _headings(pairs: PairedRows, turned_rad: float) -> Iterator[str]:
     if abs(middle_rad) > max(_LEAST_TURN_RAD, spread_rad * max(1.0, few)) and not same_turn:
         yield (
             f"predicted headings are turned by {np.rad2deg(middle_rad):+.1f} degrees against the annotated ones "
-            f"(median of {np.count_nonzero(long)} pairs)"
+            f"(median of {count_of(np.count_nonzero(long), 'pair')})"
         )
 
 
@@ -266,7 +273,10 @@ def _ratios(pairs: PairedRows) -> Iterator[str]:
         )
         return
     sides = " and ".join(f"{side} {factors[axis]:.2f}" for axis, side in enumerate(_SIDES) if is_off[axis])
-    yield f"predicted sizes differ from the annotated ones by one factor in most of {len(ratio)} pairs: {sides} times"
+    yield (
+        "predicted sizes differ from the annotated ones by one factor in most of "
+        f"{count_of(len(ratio), 'pair')}: {sides} times"
+    )
 
 
 def _exchanged(pairs: PairedRows) -> Iterator[str]:
@@ -281,7 +291,7 @@ def _exchanged(pairs: PairedRows) -> Iterator[str]:
         total = int(np.count_nonzero(apart))
         if count > most and total >= LEAST_PAIRS and count >= max(LEAST_PAIRS / 2, 0.1 * total):
             moved = [_SIDES[axis] for axis in range(3) if order[axis] != axis]
-            best, most = f"in {count} of {total} pairs the predicted {' and '.join(moved)}", count
+            best, most = f"in {count} of {count_of(total, 'pair')} the predicted {' and '.join(moved)}", count
     if best:
         yield f"{best} fit the annotated ones once they are exchanged: sizes are l (along the heading), w, h"
 
@@ -303,7 +313,7 @@ def _other_frames(predicted: Mapping[Key, Rows], annotated: Mapping[Key, Rows]) 
     suspects = [key for key, gap_m in own_m.items() if gap_m > _ANOTHER_FRAME_M][:_MOST_SUSPECTS]
     notes = list(_exchanged_frames(predicted, annotated, suspects, own_m, _ANOTHER_FRAME_M))
     if len(suspects) > 2 and len(notes) > 0.6 * len(suspects):
-        yield f"{len(notes)} of {len(suspects)} frames that were looked at are another's; {notes[0]}"
+        yield f"{len(notes)} of {count_of(len(suspects), 'frame')} that were looked at are another's; {notes[0]}"
 
 
 def _exchanged_frames(
@@ -328,10 +338,16 @@ def _exchanged_frames(
 def _apart(predicted: Rows, annotated: Rows) -> float:
     """Median distance from each box of either side to the nearest of the other, metres."""
     gap_m = np.hypot(*(predicted[:, None, axis] - annotated[None, :, axis] for axis in (0, 1)))
-    return float(max(np.median(gap_m.min(axis=0)), np.median(gap_m.min(axis=1))))
+    return float(max(_median(gap_m.min(axis=0)), _median(gap_m.min(axis=1))))
 
 
 def _middle_and_spread(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     """The median, and half the distance between the quartiles."""
     low, middle, high = np.percentile(values, [25, 50, 75])
     return float(middle), float(high - low) / 2
+
+
+def _median(values: Float[np.ndarray, " n *columns"]) -> Any:
+    """The median along the first axis, of a frame's few rows a tenth of numpy's time."""
+    ordered = np.sort(values, axis=0)
+    return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2

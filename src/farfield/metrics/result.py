@@ -16,6 +16,7 @@ from farfield.frame.drive import Key
 from farfield.metrics.bootstrap import Statistics
 from farfield.metrics.frames import frame_order
 from farfield.registry import display_html
+from farfield.vocabulary.counts import count_of
 
 _SHOWN = 8
 """Digits of a fingerprint that people are shown; JSON has them all."""
@@ -67,8 +68,8 @@ class Subject:
     def __str__(self) -> str:
         who = (self.detector or "given boxes") + _mark(self.detector_digest)
         what = (self.data or "frames in memory") + _mark(self.fingerprint or self.labels_fingerprint)
-        objects = "objects not counted" if self.annotated is None else f"{self.annotated:,} objects"
-        frames = "" if self.frames is None else f" in {self.frames:,} frames"
+        objects = "objects not counted" if self.annotated is None else f"{count_of(self.annotated, 'object', spec=',')}"
+        frames = "" if self.frames is None else f" in {count_of(self.frames, 'frame', spec=',')}"
         training = f"seen in training: {self.seen_in_training}"
         parts = [f"{who} on {what}", self.cloud and f"cloud {self.cloud}", self.label.replace("_", " ")]
         return "; ".join([*filter(None, parts), objects + frames, f"region {self.region}", self.protocol, training])
@@ -196,7 +197,7 @@ class Result:
     def __repr__(self) -> str:
         """What it is of, and its first figure."""
         about = f"{self.protocol} of {self.label!r}" if self.subject is None else str(self.subject)
-        return f"{type(self).__name__}({about}; {len(self.figures)} figures)"
+        return f"{type(self).__name__}({about}; {count_of(len(self.figures), 'figure')})"
 
     def _repr_html_(self) -> str | None:
         """What a notebook shows: the table, and the curves."""

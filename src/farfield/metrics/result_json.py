@@ -125,7 +125,9 @@ class _Checker:
             self.refuse(value, steps, "a text")
 
     def number(self, value: Any, steps: Steps, *, infinite: bool = False) -> None:
-        """A number; a finite one that a float holds unless infinity may stand there."""
+        """A number; a finite one that a float holds unless infinity, in JSON the word ``inf``, may stand there."""
+        if infinite and value == "inf":
+            return
         good = isinstance(value, int | float) and not isinstance(value, bool)
         if not good or not (abs(value) < 1e300 or (infinite and value == math.inf)):
             self.refuse(value, steps, "a finite number")

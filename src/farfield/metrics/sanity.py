@@ -11,9 +11,10 @@ from jaxtyping import Float
 
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
-from farfield.metrics.frames import BoxesByFrame
+from farfield.metrics.frames import BoxesByFrame, count_labels
 from farfield.metrics.readings import diagnose_box_convention, nearest_rows
 from farfield.vocabulary.classes import closest_class, normalised_class, unit_of_sizes
+from farfield.vocabulary.counts import count_of
 
 _TURN = 2 * np.pi
 _FEW = 0.05  # share of headings beyond a turn that a tracker's unwrapping may leave
@@ -39,7 +40,8 @@ def sanity_warnings(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[st
     twice = sum(_doubled(boxes) for boxes in annotated.values())
     if twice > 0.02 * len(sides["annotated"]):
         notes.append(
-            f"{twice} of {len(sides['annotated'])} annotated boxes stand there twice, and one of each two counts as "
+            f"{twice} of {count_of(len(sides['annotated']), 'annotated box', 'annotated boxes')} "
+            "stand there twice, and one of each two counts as "
             "missed: one file in another?"
         )
     notes += _without_entry(predicted, annotated)
@@ -59,8 +61,10 @@ def _without_entry(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator
     lacking = [key for key in filled if key not in predicted]
     if lacking and len(lacking) < len(filled):
         yield (
-            f"{len(lacking)} of {len(filled)} frames with annotated boxes have no predictions at all, such as "
-            f"{' '.join(filter(None, lacking[0]))}: their {sum(len(annotated[key]) for key in lacking)} boxes count as "
+            f"{len(lacking)} of {count_of(len(filled), 'frame')} with "
+            "annotated boxes have no predictions at all, such as "
+            f"{' '.join(filter(None, lacking[0]))}: their "
+            f"{count_of(sum(len(annotated[key]) for key in lacking), 'box', 'boxes')} count as "
             "missed. Were they detected in?"
         )
 
@@ -78,7 +82,7 @@ def _without_boxes(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator
     )
     if usual >= _USUAL and as_full:
         yield (
-            f"{len(bare)} of {len(filled)} frames with annotated boxes have no predicted box, such as "
+            f"{len(bare)} of {count_of(len(filled), 'frame')} with annotated boxes have no predicted box, such as "
             f"{' '.join(filter(None, bare[0]))}, and the others {usual:g} (median): were all of them detected in?"
         )
 
@@ -98,7 +102,8 @@ def _repeated(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]
     if len(pairs) >= max(2, 0.05 * len(filled)):
         original, copy = (" ".join(filter(None, name)) for name in pairs[0])
         yield (
-            f"{len(pairs)} of {len(filled)} frames have the predicted boxes of another frame to the digit, such as "
+            f"{len(pairs)} of {count_of(len(filled), 'frame')} have the predicted "
+            "boxes of another frame to the digit, such as "
             f"{copy} those of {original}, where the annotated boxes differ: was one frame's result written for several?"
         )
 
@@ -112,9 +117,11 @@ def _overlapping(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[s
             rows = np.arange(len(boxes)) if boxes.score is None else np.argsort(-boxes.score, kind="stable")
             rows = rows[:_MOST_BOXES]
             x, y = boxes.centre_m[rows, :2].T
-            near = np.hypot(x[:, None] - x, y[:, None] - y) < boxes.size_m[rows, :2].min(axis=1)[:, None]
+            width_m = boxes.size_m[rows, :2].min(axis=1)
+            near = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 < width_m[:, None] ** 2
+            worse, better = np.nonzero(np.tril(near, -1))
             label = np.asarray(boxes.label)[rows]
-            inside += int((np.tril(near, -1) & (label[:, None] == label)).any(axis=1).sum())
+            inside += len(set(worse[label[worse] == label[better]].tolist()))
             total += len(rows)
         counts[name] = (inside, total)
     inside, total = counts["predicted"]
@@ -152,12 +159,17 @@ _COLUMNS = ("x", "y", "z", "length", "width", "height", "heading")
 
 def _one_side(*, predicted: Boxes, annotated: Boxes) -> Iterator[str]:
     """A note where a half of the surroundings has annotated boxes and no predicted one."""
-    for words, axis, sign in (("ahead", 0, 1), ("behind", 0, -1), ("to the left", 1, 1), ("to the right", 1, -1)):
+    for words, axis, sign in (
+        ("ahead of", 0, 1),
+        ("behind", 0, -1),
+        ("to the left of", 1, 1),
+        ("to the right of", 1, -1),
+    ):
         share = float((sign * annotated.centre_m[:, axis] > 1).mean())
         if share > 0.1 and not (sign * predicted.centre_m[:, axis] > 1).any():
             yield (
-                f"no predicted box lies {words} of the sensor, where {share:.0%} of the annotated ones do: was the "
-                "detector given that side? They count as missed"
+                f"no predicted box lies {words} the sensor, where {share:.0%} of the annotated ones do: was the "
+                "detector given that side? Those of them in the region that is scored count as missed"
             )
 
 
@@ -186,8 +198,16 @@ def _order_of_scores(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterat
 
 
 def _joined(parts: Iterable[Boxes]) -> Boxes:
-    filled = [part for part in parts if len(part.yaw_rad)]
-    return Boxes.concatenate([part.plain().replace(score=part.score) for part in filled]) if filled else Boxes.empty()
+    """All boxes with their scores, where all have any, and nothing else."""
+    filled = [part for part in parts if len(part)]
+    if not filled:
+        return Boxes.empty()
+    centre_m, size_m, yaw_rad, label = (
+        np.concatenate([getattr(part, name) for part in filled]) for name in ("centre_m", "size_m", "yaw_rad", "label")
+    )
+    scores = [part.score for part in filled if part.score is not None]
+    score = np.concatenate(scores) if len(scores) == len(filled) else None
+    return Boxes(centre_m=centre_m, size_m=size_m, yaw_rad=yaw_rad, label=label, score=score)
 
 
 def _of_one_side(side: str, boxes: Boxes) -> Iterator[str]:
@@ -215,9 +235,15 @@ def _scores(boxes: Boxes) -> Iterator[str]:
     values = np.unique(boxes.score)
     if len(boxes) >= _MANY and len(values) in (2, 3):
         shown = ", ".join(f"{value:g}" for value in values)
-        yield f"the {len(boxes)} predictions have {len(values)} scores ({shown}): a curve has so few points; rounded?"
+        yield (
+            f"the {count_of(len(boxes), 'prediction has', 'predictions have')} {len(values)} "
+            f"scores ({shown}): a curve has so few points; rounded?"
+        )
     if len(boxes) >= 10 and low == high:
-        yield f"all {len(boxes)} predictions have one score, {low:g}: without an order a curve has a single point"
+        yield (
+            f"all {count_of(len(boxes), 'prediction has', 'predictions have')} one "
+            f"score, {low:g}: without an order a curve has a single point"
+        )
 
 
 def wild_headings(side: str, beyond: int, total: int) -> list[str]:
@@ -240,6 +266,8 @@ def beyond_a_turn(yaw_rad: Float[np.ndarray, " n"]) -> int:
 
 def _doubled(boxes: Boxes) -> int:
     """Boxes that are equal to an earlier one of the frame."""
+    if len(set(boxes.centre_m[:, 0].tolist())) == len(boxes):
+        return 0
     labels = np.asarray(boxes.label).tolist()
     return len(boxes) - len({(label, row.tobytes()) for label, row in zip(labels, _places(boxes), strict=True)})
 
@@ -327,7 +355,7 @@ def strange_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: M
         annotated: Annotated boxes.
         relabel: Names that count as others.
     """
-    predicted_counts, annotated_counts = _named(predicted, relabel), _named(annotated, relabel)
+    predicted_counts, annotated_counts = count_labels(predicted, relabel), count_labels(annotated, relabel)
     strange = {name: count for name, count in predicted_counts.items() if name not in annotated_counts}
     if not strange or not annotated_counts:
         return []
@@ -350,7 +378,8 @@ def split_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: Map
         relabel: Names that count as others.
     """
     notes = []
-    for side, counts in (("predicted", _named(predicted, relabel)), ("annotated", _named(annotated, relabel))):
+    for side, boxes in (("predicted", predicted), ("annotated", annotated)):
+        counts = count_labels(boxes, relabel)
         for ours in dict.fromkeys(normalised_class(name, {}) for name in counts):
             names = [name for name in counts if normalised_class(name, {}) == ours != "unknown"]
             plain = {name.lower() for name in names}
@@ -364,12 +393,3 @@ def split_classes(predicted: BoxesByFrame, annotated: BoxesByFrame, relabel: Map
                 f"--options relabel={pairs}"
             )
     return notes
-
-
-def _named(boxes: BoxesByFrame, relabel: Mapping[str, str]) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for part in boxes.values():
-        for name in np.asarray(part.label).tolist():
-            name = relabel.get(str(name), str(name))
-            counts[name] = counts.get(name, 0) + 1
-    return counts

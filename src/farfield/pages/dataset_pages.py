@@ -13,8 +13,10 @@ from farfield.figures.comparison_plots import SPEED_MPH, effective_range_m, from
 from farfield.figures.rig import placement_figure
 from farfield.figures.style import figure_bytes, figure_uri
 from farfield.files.atomic import write_bytes, write_text
-from farfield.inspection.comparison import ComparedDataset
+from farfield.inspection.comparison import ComparedDataset, ToldApartClouds, told_apart
 from farfield.inspection.placement import RigPlacement
+from farfield.inspection.statistics.background import ToldApart
+from farfield.jobs.folders import held
 from farfield.pages.template import PageImage, render_template
 from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.patterns import PATTERNS
@@ -55,8 +57,14 @@ class ComparisonLine:
     published: str = ""
 
 
-def table_lines(sides: Sequence[ComparedDataset]) -> list[ComparisonLine]:
-    """The table of all statistics; lines that neither side has are left out."""
+def table_lines(sides: Sequence[ComparedDataset], roadsides: ToldApartClouds | None = None) -> list[ComparisonLine]:
+    """The table of all statistics; lines that neither side has are left out.
+
+    Args:
+        sides: One data set or two.
+        roadsides: How well two are told apart; computed unless given.
+    """
+    roadsides = told_apart(sides) if roadsides is None else roadsides
     simulated_text = {True: "yes", False: "no", None: "not said"}
     lines = [
         *_line(sides, "data", "frames", "frames", digits=0),
@@ -66,6 +74,7 @@ def table_lines(sides: Sequence[ComparedDataset]) -> list[ComparisonLine]:
     ]
     for cloud in _names(sides, "clouds"):
         lines += _cloud_lines(sides, cloud)
+        lines += _background_lines(sides, cloud, roadsides)
     lines += _line(sides, "LiDAR", "points in vehicles beyond 50 m, gaussian over uniform", "pattern_ratio_beyond_50_m")
     lines += _line(sides, "boxes", "a frame", "boxes", "per_frame", digits=1)
     lines += _line(sides, "boxes", "most in a frame", "boxes", "most_in_a_frame", digits=0)
@@ -123,6 +132,54 @@ def _cloud_lines(sides: Sequence[ComparedDataset], cloud: str) -> list[Compariso
         what = f"points in vehicles, {weather} over normal"
         lines += _line(sides, topic, what, *base, "survival", "weather", weather, "overall")
     return lines
+
+
+_ROADSIDE = {
+    "thickness_m": ("patches above the ground: thickness T (cm)", 100.0, 1, "6 to 15"),
+    "scatter": ("points about which lies no plane: S", 1.0, 3, "0.35 to 0.65"),
+    "scatter_of_all": ("of all points: S_all", 1.0, 3, "0.08 to 0.30"),
+    "clusters": ("clusters of a car's size a sector: C", 1.0, 1, "2 to 6"),
+    "thickness_in_boxes_m": ("patches in annotated boxes: thickness (cm)", 100.0, 1, ""),
+}
+"""Lines of the roadside: words, factor, digits, and what eight real sets of five sensors show."""
+
+
+def _background_lines(sides: Sequence[ComparedDataset], cloud: str, roadsides: ToldApartClouds) -> list[ComparisonLine]:
+    """The roadside without annotated objects, and how well the two are told apart by it."""
+    topic, lines = f"roadside, {cloud}", []
+    for key, (what, factor, digits, real) in _ROADSIDE.items():
+        rows = [_find(side.summary, ("clouds", cloud, "background", key)) for side in sides]
+        values = tuple(NOTHING if row is None else _with_interval(row, factor, digits) for row in rows)
+        lines += [] if set(values) == {NOTHING} else [ComparisonLine(topic, what, values, real)]
+    if cloud in roadsides.apart:
+        apart, floor = roadsides.apart[cloud], roadsides.floor.get(cloud)
+        lines += _apart_lines(topic, apart, "")
+        telling = next(iter(apart.features.items()))
+        lines.append(ComparisonLine(topic, "most telling feature alone", ("", f"{telling[0]} ({telling[1]:.2f})")))
+        if apart.lost_without:
+            lost = ", ".join(f"{name} ({area:.2f})" for name, area in [*apart.lost_without.items()][:3])
+            lines.append(ComparisonLine(topic, "what the classifier loses most by (its area without it)", ("", lost)))
+        if floor is not None:
+            lines += _apart_lines(topic, floor, f"floor, {sides[1].name} and {roadsides.floor_name}: ")
+    return lines
+
+
+def _apart_lines(topic: str, apart: ToldApart, before: str) -> list[ComparisonLine]:
+    areas = (apart.by_thickness, apart.thickness_interval), (apart.by_classifier, apart.classifier_interval)
+    thickness, classifier = (
+        _with_interval({"value": area, "low": span and span[0], "high": span and span[1]}, 1.0, 2)
+        for area, span in areas
+    )
+    return [
+        ComparisonLine(topic, f"{before}told apart by thickness: AUC_T", ("", thickness), "0.5 to 0.7"),
+        ComparisonLine(topic, f"{before}by a classifier of seven features, on {apart.tried_on}", ("", classifier)),
+    ]
+
+
+def _with_interval(row: Mapping[str, float | None], factor: float, digits: int) -> str:
+    numbers = (row[key] for key in ("value", "low", "high"))
+    value, low, high = (None if number is None else factor * number for number in numbers)
+    return _text(value, digits) + (f" ({_text(low, digits)} to {_text(high, digits)})" if low is not None else "")
 
 
 def _reach_lines(sides: Sequence[ComparedDataset], topic: str, cloud: str) -> list[ComparisonLine]:
@@ -189,6 +246,12 @@ def sensor_pictures(sides: Sequence[ComparedDataset]) -> list[PageImage]:
             "Darker hexagons hold more boxes; empty boxes stand on the lowest line. Dots are medians of distance bins, "
             "lines are fitted to the medians. A sensor that sees whole objects has slope -2.",
         ),
+        (
+            comparison_plots.roadside,
+            "Thickness of the roadside",
+            "Small patches above the ground, without annotated objects: share of them that are thinner. Walls and "
+            "sheets stand on the left, hedges and bushes on the right.",
+        ),
         (comparison_plots.ranges, "Range of the returns", "Share of returns in each 5 m of range."),
         (
             comparison_plots.objects,
@@ -226,34 +289,52 @@ def sensor_pictures(sides: Sequence[ComparedDataset]) -> list[PageImage]:
     return images
 
 
-def render_comparison(sides: Sequence[ComparedDataset], *, title: str) -> str:
+def render_comparison(sides: Sequence[ComparedDataset], *, title: str, roadsides: ToldApartClouds | None = None) -> str:
     """Return the page as HTML."""
+    roadsides = told_apart(sides) if roadsides is None else roadsides
+    pictures = sensor_pictures(sides)
+    drawn = comparison_plots.telling_features(roadsides)
+    if drawn is not None:
+        heading = "What tells the roadsides apart"
+        tried_on = sorted({apart.tried_on for apart in (*roadsides.apart.values(), *roadsides.floor.values())})
+        caption = (
+            "Dots: area under the ROC of each feature of a small patch alone; 0.5 tells nothing apart. Line: of a "
+            f"classifier of all seven, tried on {' or '.join(tried_on)} that it did not learn from, with its 95 % "
+            "interval."
+        )
+        pictures.append(PageImage(figure_uri(drawn), f"{heading}: areas under the ROC by feature", caption, heading))
     return render_template(
         "comparison.html",
         title=title,
         sides=sides,
-        lines=table_lines(sides),
-        pictures=sensor_pictures(sides),
+        lines=table_lines(sides, roadsides),
+        pictures=pictures,
         any_simulated=any(side.simulated for side in sides),
     )
 
 
-def write_comparison(folder: Path | str, sides: Sequence[ComparedDataset], *, title: str) -> Path:
+def write_comparison(
+    folder: Path | str, sides: Sequence[ComparedDataset], *, title: str, roadsides: ToldApartClouds | None = None
+) -> Path:
     """Write ``comparison.json`` and ``comparison.html`` into a folder, each all or nothing.
 
     Args:
         folder: Made if absent.
         sides: The two data sets.
         title: Title of the page.
+        roadsides: How well the two are told apart; computed unless given.
 
     Returns:
         The page.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    tree = {"title": title, "sides": [{"name": s.name, "path": s.path, **s.summary} for s in sides]}
-    write_text(folder / "comparison.json", json.dumps(tree, indent=1, allow_nan=False) + "\n")
-    write_text(folder / "comparison.html", render_comparison(sides, title=title))
+    roadsides = told_apart(sides) if roadsides is None else roadsides
+    with held(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        tree: dict[str, Any] = {"title": title, "sides": [{"name": s.name, "path": s.path, **s.summary} for s in sides]}
+        tree["told_apart"] = roadsides.to_json()
+        write_text(folder / "comparison.json", json.dumps(tree, indent=1, allow_nan=False) + "\n")
+        write_text(folder / "comparison.html", render_comparison(sides, title=title, roadsides=roadsides))
     return folder / "comparison.html"
 
 
@@ -410,14 +491,15 @@ def write_statistics(folder: Path | str, dataset: DatasetFigures) -> Path:
         The page.
     """
     folder = Path(folder)
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
-    drawn = []
-    for name, figure, heading, caption in figures(dataset):
-        write_bytes(folder / "figures" / f"{name}.png", figure_bytes(figure, "png"))
-        drawn.append(PageImage(figure_uri(figure), f"{heading} of {dataset.name}", caption, heading))
-    tree = {"name": dataset.name, "format": dataset.format, "path": dataset.path, "notes": list(dataset.notes)}
-    content = {**tree, "annotations": dataset.census, "sensors": dataset.sensors and dataset.sensors.summary}
-    content |= {"placement": None if dataset.placed is None else dataset.placed.to_json()}
-    write_text(folder / "statistics.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
-    write_text(folder / "statistics.html", render_statistics(dataset, drawn))
+    with held(folder):
+        (folder / "figures").mkdir(parents=True, exist_ok=True)
+        drawn = []
+        for name, figure, heading, caption in figures(dataset):
+            write_bytes(folder / "figures" / f"{name}.png", figure_bytes(figure, "png"))
+            drawn.append(PageImage(figure_uri(figure), f"{heading} of {dataset.name}", caption, heading))
+        tree = {"name": dataset.name, "format": dataset.format, "path": dataset.path, "notes": list(dataset.notes)}
+        content = {**tree, "annotations": dataset.census, "sensors": dataset.sensors and dataset.sensors.summary}
+        content |= {"placement": None if dataset.placed is None else dataset.placed.to_json()}
+        write_text(folder / "statistics.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
+        write_text(folder / "statistics.html", render_statistics(dataset, drawn))
     return folder / "statistics.html"

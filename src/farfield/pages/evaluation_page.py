@@ -27,6 +27,7 @@ from farfield.metrics.comparing import protocol_family
 from farfield.metrics.detections import presentation_of, protocol_of
 from farfield.metrics.presenting import HitRule, Presentation, edges_m
 from farfield.pages.template import PageImage, render_template
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.kradar import REGIONS_M, Bounds
 from farfield.vocabulary.scores import SHOWN_SCORE
 from farfield.vocabulary.studio import studio_link
@@ -101,14 +102,14 @@ def _caption(
         return start
     sureness = f"score {drawing.score_min:g} or more"
     if annotated is None:
-        return f"{start} {len(predicted)} predictions of {sureness}; this frame is not annotated."
+        return f"{start} {count_of(len(predicted), 'prediction')} of {sureness}; this frame is not annotated."
     annotated_inside, predicted_inside = drawing.counting(annotated, window_m), drawing.counting(predicted, window_m)
     where = "" if drawing.region_m is None else " in the region that counts"
     num_found = int((drawing.finding.found_by(predicted_inside, annotated_inside) >= 0).sum())
     wrong = len(predicted_inside) - num_found
     return (
-        f"{start} {num_found} of {len(annotated_inside)} annotated objects{where} found {drawing.finding}, "
-        f"{wrong} prediction{'' if wrong == 1 else 's'} without one ({sureness})."
+        f"{start} {num_found} of {count_of(len(annotated_inside), 'annotated object')}{where} found {drawing.finding}, "
+        f"{count_of(wrong, 'prediction')} without one ({sureness})."
     )
 
 

@@ -23,14 +23,16 @@ from farfield.errors import ConfigError
 from farfield.figures.camera import box_lines
 from farfield.figures.style import ANNOTATED, PREDICTED
 from farfield.files import videos
-from farfield.files.atomic import open_atomic
+from farfield.files.atomic import move_into_place, open_atomic
 from farfield.files.images import write_animation
 from farfield.frame import Boxes, Cloud, Drive, Frame, Key
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
 from farfield.jobs import HERE, JobJournal, JobOptions, Unit, UnitResult, run
+from farfield.jobs.folders import held
 from farfield.radar.axes import CUBE_STEP_M, CUBE_X_M, CUBE_Y_M
 from farfield.radar.views import PRODUCTS, bird_db
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 # The panels of a film's picture: a cloud or a radar's power from above, a camera; drawn in milliseconds, by pillow.
@@ -248,7 +250,7 @@ def headline(frame: Frame, drawn: Sequence[DrawnBoxes]) -> str:
     for kind_boxes in drawn:
         tracks = 0 if kind_boxes.boxes.track_id is None else len({int(t) for t in kind_boxes.boxes.track_id if t >= 0})
         kind = "predicted" if kind_boxes.predicted else "annotated"
-        facts.append(f"{len(kind_boxes.boxes)} {kind}" + (f" ({tracks} tracks)" if tracks else ""))
+        facts.append(f"{len(kind_boxes.boxes)} {kind}" + (f" ({count_of(tracks, 'track')})" if tracks else ""))
     return "    ".join(facts)
 
 
@@ -402,16 +404,16 @@ def make_film(
         videos.check_writing(path)
     chosen = drive_named(data, drive)
     folder = path.with_name(f".{path.name}.pictures")
-    folder.mkdir(parents=True, exist_ok=True)
     work = FilmWork(data, chosen, folder, panels_of(data, chosen), predictions, settings)
     units = [
         Unit(f"{number:06d}", sources=tuple(data.files(int(index))), parameters=number)
         for number, index in enumerate(chosen.indices)
     ]
     setting = repr((_VERSION, chosen.name, chosen.keys, work.panels, settings, _predictions_crc(predictions)))
-    run(work, units, bulk, journal=JobJournal(folder / ".journal.jsonl", setting=setting))
-    _assemble(path, [folder / f"{number:06d}.png" for number in range(len(units))], rate_of(chosen, settings))
-    shutil.rmtree(folder)
+    with held(path, file=True):
+        run(work, units, bulk, journal=JobJournal(folder / ".journal.jsonl", setting=setting))
+        _assemble(path, [folder / f"{number:06d}.png" for number in range(len(units))], rate_of(chosen, settings))
+        shutil.rmtree(folder)
     return len(units)
 
 
@@ -444,7 +446,7 @@ def _assemble(path: Path, pictures: list[Path], rate: Fraction) -> None:
     if path.suffix.lower() in ANIMATED:
         animation = pictures[0].with_name(f"whole{path.suffix.lower()}")
         write_animation(animation, pictures, rate_hz=float(rate))
-        animation.replace(path)
+        move_into_place(animation, path)
         return
     videos.write_film(path, _read_pictures(pictures), range(len(pictures)), 1 / rate)
 

@@ -22,6 +22,7 @@ from farfield.files.atomic import write_bytes, write_text
 from farfield.odometry.drift import way_m
 from farfield.odometry.drives import OdometryTrack
 from farfield.pages.template import PageImage, render_template
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,7 +94,9 @@ def tracks_picture(tracks: Sequence[OdometryTrack]) -> "Figure":
         for number, track in enumerate(shown):
             _draw(figure.add_subplot(rows, columns, number + 1), track)
         if len(tracks) > len(shown):
-            figure.suptitle(f"the first {len(shown)} of {len(tracks)} drives", x=0.01, ha="left", color=MUTED)
+            figure.suptitle(
+                f"the first {len(shown)} of {count_of(len(tracks), 'drive')}", x=0.01, ha="left", color=MUTED
+            )
     return figure
 
 

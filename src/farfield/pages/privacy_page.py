@@ -15,7 +15,10 @@ from farfield.pages.template import PageImage, render_template
 from farfield.privacy import PictureSummary
 from farfield.privacy.image_boxes import FACE
 
-_SHOWN, _SIDE_PX, _MARGIN = 40, 220, 2.0
+_SHOWN = 40
+_SIDE_PX, _MARGIN, _LEAST_PX = 528, 1.0, 132
+"""Side of a shown cut, the surroundings on each side in sizes of the box, and the least side that is cut."""
+_OUTLINE = (255, 140, 0)
 HEADS = (
     "folder",
     "pictures and frames",
@@ -92,21 +95,26 @@ def _strongest_first(item: tuple[PictureSummary, Mapping[str, Any]]) -> tuple[bo
 
 
 def _thumbnail(folder: Path, summary: PictureSummary, row: Mapping[str, Any]) -> PageImage:
-    """The surroundings of a box, cut from the covered picture."""
-    from PIL import Image
+    """The surroundings of a box, cut from the covered picture, and the box in them."""
+    from PIL import Image, ImageDraw
 
     path = folder / summary.file
     image = read_image(path) if summary.frame is None else frame_of(path, summary.frame)
     low, high = np.array(row["box_px"][:2]), np.array(row["box_px"][2:])
-    half = max(float((high - low).max()), 16.0) / 2 * (1 + _MARGIN)
-    middle = (low + high) / 2
-    left, top = np.floor(middle - half).astype(int).clip(min=0)
-    right, bottom = np.ceil(middle + half).astype(int)
-    part = image[top:bottom, left:right]
-    small = Image.fromarray(np.ascontiguousarray(part))
-    small.thumbnail((_SIDE_PX, _SIDE_PX))
+    size = np.array(image.shape[1::-1])
+    side = np.minimum(max(_LEAST_PX, int(np.ceil((high - low).max() * (1 + 2 * _MARGIN)))), size)
+    left, top = np.clip(np.round((low + high - side) / 2), 0, size - side).astype(int)  # whole, also at an edge
+    cut = Image.fromarray(np.ascontiguousarray(image[top : top + side[1], left : left + side[0]]))
+    scale = _SIDE_PX / float(side.max())
+    scale = float(int(scale)) if scale >= 1 else scale  # by whole numbers: pixels stay sharp
+    cut = cut.resize(
+        tuple(np.maximum(1, np.round(side * scale)).astype(int).tolist()),
+        Image.Resampling.NEAREST if scale >= 1 else Image.Resampling.LANCZOS,
+    )
+    corners = np.concatenate([low - (left, top), high - (left, top)]) * scale + (-4, -4, 3, 3)
+    ImageDraw.Draw(cut).rectangle(corners.tolist(), outline=_OUTLINE, width=3)
     data = io.BytesIO()
-    small.save(data, format="JPEG", quality=85)
+    cut.save(data, format="JPEG", quality=90)
     uri = "data:image/jpeg;base64," + b64encode(data.getvalue()).decode()
     at = "" if summary.frame is None else f", frame {summary.frame}"
     caption = f"{summary.file}{at}: {row['kind']}, score {row['score']:.2f}, {row.get('how', 'not covered')}"

@@ -11,7 +11,7 @@ from farfield.errors import ConfigError, FarfieldError
 from farfield.figures.style import ANNOTATED, INK, MUTED, PREDICTED, RULE, figure_uri, house_style, new_figure
 from farfield.files.atomic import write_text
 from farfield.files.clock_logs import read_clock_log
-from farfield.jobs.folders import sweep_out_file
+from farfield.jobs.folders import held
 from farfield.pages.template import PageImage, render_template
 from farfield.sync.clocks import ExchangeClock, summarised
 from farfield.sync.sources import RecordedStreams
@@ -24,6 +24,7 @@ from farfield.sync.synchronising import (
     over_time,
     synchronise,
 )
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,10 +37,10 @@ HEADS = (
     "gaps",
     "lost",
     "matched",
-    "median, ms",
-    "worst, ms",
-    "offset, ms",
-    "drift, ppm",
+    "distance, median, ms",
+    "distance, largest, ms",
+    "offset (+ later), ms",
+    "drift (+ faster), ppm",
 )
 ARRIVAL_HEADS = ("stream", "recorded after its stamp, ms", "this includes", "the computer's clock against it, ppm")
 
@@ -64,7 +65,8 @@ def write_sync_page(path: Path | str, results: Sequence[SyncResult], *, title: s
         if any(len(pair.times_ns) for pair in result.pairs.values()):
             alt = f"Histogram and course of the residuals of each stream against {result.reference}"
             caption = (
-                f"How much later than {result.reference} each stream's message is. Right: median, and the band that "
+                f"How much later than {result.reference} each stream's message is; below 0: earlier. "
+                "Right: median, and the band that "
                 "holds 80 % of them; dashed: the fitted offset and drift."
             )
             pictures.append(PageImage(figure_uri(residuals(result)), alt, caption, f"{head}: residual offsets"))
@@ -100,9 +102,9 @@ def _matched(pair: StreamPair) -> list[str]:
     clock = pair.clock
     if clock is None:
         return [f"{pair.matched:,}", quantile, worst, "", ""]
-    drift = f"{clock.drift_ppm:.3f} ± {clock.drift_se_ppm:.3f}"
+    drift = f"{clock.drift_ppm:+.3f} ± {clock.drift_se_ppm:.3f}"
     turns = "" if clock.modulo_ns is None else f" + k {clock.modulo_ns / 1e6:.1f}"
-    return [f"{pair.matched:,}", quantile, worst, f"{clock.offset_ns / 1e6:.3f}{turns}", drift]
+    return [f"{pair.matched:,}", quantile, worst, f"{clock.offset_ns / 1e6:+.3f}{turns}", drift]
 
 
 def arrivals(result: SyncResult) -> list[tuple[str, ...]]:
@@ -110,7 +112,7 @@ def arrivals(result: SyncResult) -> list[tuple[str, ...]]:
     return [
         (
             name,
-            f"{clock.offset_ns / 1e6:.3f}",
+            f"{clock.offset_ns / 1e6:+.3f}",
             clock.offset_includes,
             f"{clock.drift_ppm:+.3f} ± {clock.drift_se_ppm:.3f}",
         )
@@ -127,7 +129,7 @@ def residuals(result: SyncResult) -> "Figure":
         for (left, right), (name, pair) in zip(grid, shown.items(), strict=True):
             _histogram(left, name, pair)
             _course(right, pair)
-        grid[-1, 0].set_xlabel("later than the reference, ms")
+        grid[-1, 0].set_xlabel("later than the reference (below 0: earlier), ms")
         grid[-1, 1].set_xlabel("since the first pair, s")
     return figure
 
@@ -141,9 +143,10 @@ def _histogram(axes: "Axes", name: str, pair: StreamPair) -> None:
         low, high = min(low, 0.0), max(high, 0.0)
         axes.axvline(0, color=RULE, lw=0.8)
     axes.hist(values, bins=np.linspace(low, high, int(np.clip(len(values) // 3, 8, 60)) + 1).tolist(), color=ANNOTATED)
-    axes.set_title(f"{name}: {pair.matched:,} pairs within {pair.tolerance_ns / 1e6:.3g} ms")
+    axes.set_title(f"{name}: {count_of(pair.matched, 'pair')} within {pair.tolerance_ns / 1e6:.3g} ms")
     axes.set_ylabel("pairs")
     axes.locator_params(axis="y", integer=True)
+    axes.locator_params(axis="x", nbins=4)  # 3.99925 is long
 
 
 def _course(axes: "Axes", pair: StreamPair) -> None:
@@ -210,16 +213,14 @@ def write_synchronised(
     names = [recording.name for recording in recordings]
     if len(set(names)) < len(names):
         raise ConfigError(f"expected recordings of different names, got {', '.join(names)}")
-    folder.mkdir(parents=True, exist_ok=True)
     tables = [folder / ("matches.csv" if len(recordings) == 1 else f"matches-{name}.csv") for name in names]
-    for path in (*tables, folder / "sync.json", folder / "sync.html"):
-        sweep_out_file(path)  # what a killed command left
-    results = [
-        _synchronise(path, recording, to, tolerance_ns) for path, recording in zip(tables, recordings, strict=True)
-    ]
-    content = {"recordings": [result.to_json() for result in results]}
-    write_text(folder / "sync.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
-    write_sync_page(folder / "sync.html", results, title=title)
+    with held(folder):
+        results = [
+            _synchronise(path, recording, to, tolerance_ns) for path, recording in zip(tables, recordings, strict=True)
+        ]
+        content = {"recordings": [result.to_json() for result in results]}
+        write_text(folder / "sync.json", json.dumps(content, indent=2, allow_nan=False) + "\n")
+        write_sync_page(folder / "sync.html", results, title=title)
     return results
 
 

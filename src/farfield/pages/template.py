@@ -1,11 +1,19 @@
 """Pages from the templates that lie in this folder."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import Any
+
+from farfield.vocabulary.counts import count_of
+
+_SECTION = re.compile(r"<section([^>]*)>(\s*)<h2>(.*?)</h2>", re.DOTALL)
+_PLACE = "<!-- contents -->\n"
+_FEW = 4
+"""Pages of fewer sections have no list of contents."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +58,24 @@ def render_template(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(filters or {})
-    return environment.get_template(name).render(style=(home / "page.css").read_text(encoding="utf-8"), **values)
+    environment.filters.update({"count_of": count_of, **(filters or {})})
+    style = (home / "page.css").read_text(encoding="utf-8")
+    return _with_contents(environment.get_template(name).render(style=style, **values))
+
+
+def _with_contents(page: str) -> str:
+    """The page with an anchor at each section, and a list that leads to them where they are several."""
+    titles = [re.sub(r"<[^>]+>", "", match[3]).strip() for match in _SECTION.finditer(page)]
+    anchors: list[str] = []
+    for title in titles:
+        stem = re.sub(r"[^a-z0-9]+", "-", re.sub(r"&[a-z0-9#]+;", " ", title.lower())).strip("-") or "section"
+        taken = sum(anchor == stem or re.fullmatch(rf"{stem}-\d+", anchor) is not None for anchor in anchors)
+        anchors.append(f"{stem}-{taken + 1}" if taken else stem)
+    left = iter(anchors)
+    page = _SECTION.sub(lambda match: f'<section{match[1]} id="{next(left)}">{match[2]}<h2>{match[3]}</h2>', page)
+    rows = "".join(f'<li><a href="#{anchor}">{title}</a></li>\n' for anchor, title in zip(anchors, titles, strict=True))
+    contents = f'<nav aria-label="Contents"><ul>\n{rows}</ul></nav>\n' if len(titles) >= _FEW else ""
+    return page.replace(_PLACE, contents, 1)
 
 
 def _text(folder: Traversable, name: str) -> str | None:

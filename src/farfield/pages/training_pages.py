@@ -21,6 +21,7 @@ from farfield.figures.training_plots import (
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame, Key
 from farfield.pages.template import PageImage, render_template
+from farfield.vocabulary.counts import count_of
 
 # Scores of an adaptation on labelled frames that it did not learn from, for its page.
 
@@ -316,7 +317,11 @@ class CoursePage:
     def headline(self) -> str:
         """How far it is."""
         step = int(self.rows[-1]["step"]) if self.rows else 0
-        return f"All {self.steps} steps are done." if step >= self.steps else f"{step} of {self.steps} steps are done."
+        return (
+            f"All {count_of(self.steps, 'step is', 'steps are')} done."
+            if step >= self.steps
+            else f"{step} of {count_of(self.steps, 'step')} are done."
+        )
 
     @property
     def last(self) -> list[tuple[str, str, str]]:
@@ -348,5 +353,6 @@ def write_course(path: Path, page: CoursePage) -> Path:
             "line is what chance gives. docs/adaptation.md says how to read what a method logs.",
             "The course of the training",
         )
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, render_template("course.html", page=page, course=course))
     return path

@@ -6,6 +6,7 @@ are none of ours. Names that neither we nor they know, such as one's own ``Cone`
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from unicodedata import normalize
 
@@ -20,6 +21,12 @@ CIRRUS_CLASSES = (
     "trailer",
     "unknown",
 )
+
+UNSURE = "unsure"
+"""Class of boxes about what may be an object that nobody annotated: to a training neither object nor background."""
+
+CLUTTER = "clutter"
+"""Class of boxes about what a detector took for an object where none is: to a training background."""
 
 CLASS_COLOURS = {
     "vehicle": "#56b4e9",
@@ -118,6 +125,36 @@ KRADAR_FROM_CIRRUS = {  # K-Radar annotates neither animals nor what is unknown
     "wheeled_pedestrian": "Pedestrian",
 }
 
+CIRRUS_FROM_AIMOTIVE = {
+    "CAR": "vehicle",
+    "VAN": "vehicle",
+    "PICKUP": "vehicle",
+    "TRUCK": "large_vehicle",
+    "BUS": "large_vehicle",
+    "TRAILER": "trailer",
+    "MOTORCYCLE": "motorcycle",
+    "BICYCLE": "bicycle",
+    "PEDESTRIAN": "pedestrian",
+}
+
+CIRRUS_FROM_ARGOVERSE1 = {
+    "VEHICLE": "vehicle",
+    "LARGE_VEHICLE": "large_vehicle",
+    "BUS": "large_vehicle",
+    "SCHOOL_BUS": "large_vehicle",
+    "TRAILER": "trailer",
+    "PEDESTRIAN": "pedestrian",
+    "BICYCLE": "bicycle",
+    "BICYCLIST": "bicycle",
+    "MOTORCYCLE": "motorcycle",
+    "MOTORCYCLIST": "motorcycle",
+    "MOPED": "motorcycle",
+    "STROLLER": "wheeled_pedestrian",
+    "WHEELCHAIR": "wheeled_pedestrian",
+    "ANIMAL": "animal",
+    **dict.fromkeys(("EMERGENCY_VEHICLE", "ON_ROAD_OBSTACLE", "OTHER_MOVER"), "unknown"),
+}
+
 CIRRUS_FROM_ARGOVERSE2 = {
     "REGULAR_VEHICLE": "vehicle",
     "LARGE_VEHICLE": "large_vehicle",
@@ -157,6 +194,111 @@ CIRRUS_FROM_ARGOVERSE2 = {
         ),
         "unknown",
     ),
+}
+
+CIRRUS_FROM_PANDASET = {
+    "Car": "vehicle",
+    "Pickup Truck": "vehicle",
+    "Emergency Vehicle": "vehicle",
+    **dict.fromkeys(
+        ("Medium-sized Truck", "Semi-truck", "Bus", "Other Vehicle - Construction Vehicle"), "large_vehicle"
+    ),
+    **dict.fromkeys(("Train", "Trolley", "Tram / Subway"), "large_vehicle"),
+    "Towed Object": "trailer",
+    "Motorcycle": "motorcycle",
+    "Motorized Scooter": "motorcycle",
+    "Bicycle": "bicycle",
+    "Personal Mobility Device": "wheeled_pedestrian",
+    "Pedestrian": "pedestrian",
+    "Pedestrian with Object": "pedestrian",
+    "Animals - Bird": "animal",
+    "Animals - Other": "animal",
+    **dict.fromkeys(("Other Vehicle - Uncommon", "Other Vehicle - Pedicab"), "unknown"),
+    **dict.fromkeys(("Pylons", "Road Barriers", "Signs", "Cones", "Construction Signs"), "unknown"),
+    **dict.fromkeys(("Temporary Construction Barriers", "Rolling Containers"), "unknown"),
+}
+
+
+CIRRUS_FROM_NUSCENES = {  # its 23 categories; those that are none of ours are unknown
+    "animal": "animal",
+    "human.pedestrian.adult": "pedestrian",
+    "human.pedestrian.child": "pedestrian",
+    "human.pedestrian.construction_worker": "pedestrian",
+    "human.pedestrian.police_officer": "pedestrian",
+    "human.pedestrian.personal_mobility": "wheeled_pedestrian",
+    "human.pedestrian.stroller": "wheeled_pedestrian",
+    "human.pedestrian.wheelchair": "wheeled_pedestrian",
+    "vehicle.bicycle": "bicycle",
+    "vehicle.bus.bendy": "large_vehicle",
+    "vehicle.bus.rigid": "large_vehicle",
+    "vehicle.car": "vehicle",
+    "vehicle.construction": "large_vehicle",
+    "vehicle.emergency.ambulance": "large_vehicle",
+    "vehicle.emergency.police": "vehicle",
+    "vehicle.motorcycle": "motorcycle",
+    "vehicle.trailer": "trailer",
+    "vehicle.truck": "large_vehicle",
+    **dict.fromkeys(
+        (
+            "movable_object.barrier",
+            "movable_object.debris",
+            "movable_object.pushable_pullable",
+            "movable_object.trafficcone",
+            "static_object.bicycle_rack",
+        ),
+        "unknown",
+    ),
+}
+
+CIRRUS_FROM_TRUCKSCENES = CIRRUS_FROM_NUSCENES | {
+    "vehicle.ego_trailer": "trailer",
+    "vehicle.train": "large_vehicle",
+    "vehicle.other": "unknown",
+    "static_object.traffic_sign": "unknown",
+}
+
+CIRRUS_FROM_T4 = CIRRUS_FROM_NUSCENES | {
+    "construction_worker": "pedestrian",
+    "police_officer": "pedestrian",
+    "fire_truck": "large_vehicle",
+    "ambulance": "large_vehicle",
+    "police_car": "vehicle",
+    "semi_trailer": "trailer",
+    "tractor_unit": "large_vehicle",
+    "construction_vehicle": "large_vehicle",
+    "forklift": "large_vehicle",
+    "personal_mobility": "wheeled_pedestrian",
+    **dict.fromkeys(("barrier", "debris", "pushable_pullable", "traffic_cone"), "unknown"),
+}
+
+NUSCENES_DETECTION_CLASSES = {  # of its detection task, by category; other categories are not scored
+    "movable_object.barrier": "barrier",
+    "vehicle.bicycle": "bicycle",
+    "vehicle.bus.bendy": "bus",
+    "vehicle.bus.rigid": "bus",
+    "vehicle.car": "car",
+    "vehicle.construction": "construction_vehicle",
+    "vehicle.motorcycle": "motorcycle",
+    "human.pedestrian.adult": "pedestrian",
+    "human.pedestrian.child": "pedestrian",
+    "human.pedestrian.construction_worker": "pedestrian",
+    "human.pedestrian.police_officer": "pedestrian",
+    "movable_object.trafficcone": "traffic_cone",
+    "vehicle.trailer": "trailer",
+    "vehicle.truck": "truck",
+}
+
+NUSCENES_RANGES_M = {  # of its detection task, in its order of classes: within which boxes count
+    "car": 50.0,
+    "truck": 50.0,
+    "bus": 50.0,
+    "trailer": 50.0,
+    "construction_vehicle": 50.0,
+    "pedestrian": 40.0,
+    "motorcycle": 40.0,
+    "bicycle": 40.0,
+    "traffic_cone": 30.0,
+    "barrier": 30.0,
 }
 
 
@@ -269,6 +411,45 @@ SMALL_KINDS: dict[str, tuple[float, float, float]] = {
 }
 """The same for people, two-wheelers and animals, whose boxes lie about their points and do not grow away from the
 sensor."""
+
+
+@dataclass(frozen=True)
+class FormatSizes:
+    """The sizes that are published of a data set.
+
+    Args:
+        source: Where they are from.
+        sizes_m: Mean or median length, width, height by class, in the data set's words and in Cirrus's.
+    """
+
+    source: str
+    sizes_m: Mapping[str, tuple[float, float, float]]
+
+
+_KITTI_MEANS_M: dict[str, tuple[float, float, float]] = {
+    "Car": (3.88, 1.63, 1.53),
+    "Van": (5.07, 1.90, 2.21),
+    "Truck": (10.14, 2.59, 3.25),
+    "Pedestrian": (0.84, 0.66, 1.76),
+    "Person_sitting": (0.80, 0.60, 1.27),
+    "Cyclist": (1.76, 0.60, 1.74),
+    "Tram": (16.17, 2.53, 3.53),
+}
+_KITTI_SIZES = FormatSizes(
+    "means of KITTI's training labels (Frustum PointNets, CVPR 2018)",
+    _KITTI_MEANS_M | {ours: _KITTI_MEANS_M[word] for ours, word in KITTI_FROM_CIRRUS.items() if word in _KITTI_MEANS_M},
+)
+
+FORMAT_SIZES: Mapping[str, FormatSizes] = {
+    "kitti": _KITTI_SIZES,
+    "kitti_raw": _KITTI_SIZES,
+    "kradar": FormatSizes(
+        "medians of K-Radar's labels v2.1",
+        _KRADAR_MEDIANS_M
+        | {name: _KRADAR_MEDIANS_M[ours] for name, ours in CIRRUS_FROM_KRADAR.items() if ours in _KRADAR_MEDIANS_M},
+    ),
+}
+"""Sizes by format, where annotating starts from as long as a data set has no labels of its own."""
 
 
 def unit_of_sizes(longest: float) -> str:

@@ -5,11 +5,13 @@ from typing import Literal, get_args
 Weather = Literal["normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow"]
 Time = Literal["day", "night"]
 Side = Literal["right", "left"]
+World = Literal["v2", "v3"]
 
 WEATHERS: tuple[Weather, ...] = get_args(Weather)
 ROADS = ("urban", "highway", "suburban", "alleyway", "parking_lot", "shoulder", "mountain", "university")
 TIMES: tuple[Time, ...] = get_args(Time)
 SIDES: tuple[Side, ...] = get_args(Side)
+WORLDS: tuple[World, ...] = get_args(World)
 """On which side traffic keeps."""
 
 CONDITIONS: dict[str, tuple[str, ...]] = {"weather": WEATHERS, "road": ROADS, "time": TIMES}
@@ -38,6 +40,16 @@ _SPELLINGS = {
     "lightsnow": "light_snow",
     "heavysnow": "heavy_snow",
 }
+
+
+def fits_kind(name: str, kind: str) -> bool:
+    """Whether a condition may be of a kind: a word that is known as another kind's is not, nor one of control letters.
+
+    >>> fits_kind("night", "time"), fits_kind("night", "road"), fits_kind("tunnel", "road")
+    (True, False, True)
+    """
+    others = {other for values in CONDITIONS.values() for other in values} - {*CONDITIONS[kind], UNKNOWN}
+    return name.isprintable() and name not in others
 
 
 def condition_name(text: str) -> str:

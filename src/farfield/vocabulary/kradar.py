@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from farfield.vocabulary.conditions import condition_name
+from farfield.vocabulary.conditions import condition_name, fits_kind
 
 KRADAR_ORIGIN_M = (2.54, -0.3, -0.7)
 """Where K-Radar's radar stands in the frame of its os2-64, without rotation, in all sequences: x and y are in every
@@ -188,4 +188,5 @@ def parse_description(line: str) -> dict[str, str] | None:
     names = [condition_name(word) for word in line.split(",")]
     if len(names) != len(DESCRIPTION_ORDER) or not all(names):
         return None
-    return dict(zip(DESCRIPTION_ORDER, names, strict=True))
+    conditions = dict(zip(DESCRIPTION_ORDER, names, strict=True))
+    return conditions if all(fits_kind(name, kind) for kind, name in conditions.items()) else None

@@ -18,6 +18,7 @@ from farfield.errors import DatasetError, FarfieldError
 from farfield.geometry.cameras import Camera
 from farfield.geometry.poses import invert
 from farfield.inspection.doctor.survey import Finding, Severity
+from farfield.vocabulary.counts import count_of
 
 _EDGES = 600  # a frame
 _MARGIN_PX = 120.0
@@ -64,10 +65,10 @@ def _finding(name: str, check: CalibrationCheck, fix: str) -> Finding:
     size = f"{check.degrees:.2f} degrees, {check.cm:.0f} cm" + (f", {check.px:.1f} px" if check.px else "")
     drift = f"{check.drift_degrees:.2f} degrees, {check.drift_cm:.0f} cm"
     what = {
-        "fits": f"fits {check.frames} frames (aligning moves it by {size})",
-        "off": f"does not fit: {size} away from where {check.frames} frames put it",
+        "fits": f"fits {count_of(check.frames, 'frame')} (aligning moves it by {size})",
+        "off": f"does not fit: {size} away from where {count_of(check.frames, 'frame')} put it",
         "moved": f"the sensor moved during the drive: {drift} between its first and second half",
-        "not told": f"{check.frames} frames do not tell: {_lacking(check)}",
+        "not told": f"{count_of(check.frames, 'frame does', 'frames do')} not tell: {_lacking(check)}",
     }[check.verdict]
     severity: Severity = "warn" if check.claimed else "ok"
     return Finding(severity=severity, topic=f"calibration of {name}", what=what, fix=fix if check.claimed else "")
@@ -77,7 +78,7 @@ def _lacking(check: CalibrationCheck) -> str:
     if not check.needed:
         return "too few, or nothing that both sensors see"
     limits = f"{100 * ASKED_M:.0f} cm and {np.degrees(ASKED_RAD):.0f} degree"
-    return f"about {check.needed} frames needed to find errors of {limits}"
+    return f"about {count_of(check.needed, 'frame')} needed to find errors of {limits}"
 
 
 def camera_views(data: Dataset, indices: Iterable[int], name: str) -> tuple[Camera, EdgeViews]:

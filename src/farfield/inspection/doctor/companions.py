@@ -6,7 +6,8 @@ from typing import Any
 
 from farfield.datasets.folder import Folder
 from farfield.errors import FarfieldError
-from farfield.inspection.doctor.survey import Finding, Survey, counted
+from farfield.inspection.doctor.survey import Finding, Survey
+from farfield.vocabulary.counts import count_of
 
 _LEAST_FOCAL, _MOST_FOCAL = 0.1, 50.0  # focal length over the image's width: 157 degrees of view, and 1 degree
 
@@ -29,7 +30,7 @@ def _equal_sweeps(survey: Survey) -> Iterator[Finding]:
         yield Finding(
             severity="warn",
             topic="sweeps",
-            what=f"{counted(count, 'file')} of clouds hold the same as another: {', '.join(names)}",
+            what=f"{count_of(count, 'file')} of clouds hold the same as another: {', '.join(names)}",
             where=groups[0][0],
             fix="A sensor that froze, or a copy: remove all but one, with their labels.",
         )
@@ -47,7 +48,7 @@ def _times_of_some(survey: Survey) -> Iterator[Finding]:
         yield Finding(
             severity="warn",
             topic="times",
-            what=f"{counted(len(present), 'frame')} of {len(times)} have times as names, such as {present[0]}, and "
+            what=f"{count_of(len(present), 'frame')} of {len(times)} have times as names, such as {present[0]}, and "
             f"others such as {missing[0]} have none: two recordings in one folder? The times are not used",
             fix="Put each recording into a folder of its own.",
         )
@@ -58,15 +59,14 @@ def _cameras(survey: Survey) -> Iterator[Finding]:
         cameras = survey.dataset[0].cameras if survey.cameras and len(survey.dataset) else {}
     except (FarfieldError, OSError, ValueError):
         return  # the survey has reported it
-    for (name, width, height), frames in survey.image_sizes.items():
-        camera = cameras.get(name)
-        if camera is not None and (width, height) != (camera.width_px, camera.height_px):
-            turned = (width, height) == (camera.height_px, camera.width_px)
+    for (name, width, height, *calibrated), frames in survey.image_sizes.items():
+        if [width, height] != calibrated:
+            turned = [height, width] == calibrated
             yield Finding(
                 severity="warn",
                 topic="calibration",
-                what=f"{counted(len(frames), 'image')} of {name} of {width} x {height} pixels, calibrated for "
-                f"{camera.width_px} x {camera.height_px}" + (": turned by a quarter" if turned else ""),
+                what=f"{count_of(len(frames), 'image')} of {name} of {width} x {height} pixels, calibrated for "
+                f"{calibrated[0]} x {calibrated[1]}" + (": turned by a quarter" if turned else ""),
                 where=frames[0],
                 fix="Boxes are drawn beside their objects: calibrate for these images, or give those it was made of.",
             )

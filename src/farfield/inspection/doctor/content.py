@@ -10,13 +10,15 @@ from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.class_mapping import MAPPING_NAME
 from farfield.datasets.maps.coordinates import Move
 from farfield.errors import FarfieldError
+from farfield.files.limits import MAX_RINGS
 from farfield.frame import Boxes, Cloud
 from farfield.inspection.axes_and_units import forward_doubt, unit_of_boxes, unit_of_points, upright_doubt
 from farfield.inspection.doctor.conventions import count_points, ground_height_m
-from farfield.inspection.doctor.survey import Finding, Survey, counted
+from farfield.inspection.doctor.survey import Finding, Survey
 from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class, normalised_class
+from farfield.vocabulary.counts import count_of
 
-_LARGEST_VALUE, _MOST_RINGS, _RING_NAMES = 1e20, 1024, ("ring", "laser", "line", "channel")
+_LARGEST_VALUE, _RING_NAMES = 1e20, ("ring", "laser", "line", "channel")
 RANGE_BINS_M = (0.0, 70.0, 150.0, 250.0, np.inf)
 _LARGEST_M = {  # length, width, height of the largest plausible objects, sorted; smaller ones may be partly seen
     "vehicle": (9.0, 3.5, 3.8),
@@ -51,7 +53,8 @@ def check_clouds(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
             else [float(strength.min(initial=1.0)), float(strength.max(initial=0.0))],
         }
         what = (
-            f"{len(columns)} columns ({', '.join(columns)}), {per_sweep[0]}..{per_sweep[-1]} points a sweep, reach "
+            f"{len(columns)} columns ({', '.join(columns)}), "
+            f"{per_sweep[0]}..{count_of(per_sweep[-1], 'point')} a sweep, reach "
             f"{reach_m:.0f} m"
         )
         if strength is not None:
@@ -82,7 +85,7 @@ def _doubtful_columns(name: str, read: Sequence[Cloud]) -> Iterator[Finding]:
         )
         values = values.astype(np.float64)
         wild = ~np.isfinite(values) | (np.abs(values) > _LARGEST_VALUE)
-        rings = column in _RING_NAMES and len(values) and values[~wild].max(initial=0) >= _MOST_RINGS
+        rings = column in _RING_NAMES and len(values) and values[~wild].max(initial=0) >= MAX_RINGS
         if wild.any() or rings:
             doubtful[column] = f"{column} (to {np.abs(values[np.isfinite(values)]).max(initial=0):.3g})"
     if doubtful:
@@ -111,7 +114,7 @@ def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     facts["classes_by_range"] = table
     for label, row in table.items():
         shown = ", ".join(f"{count} at {name}" for name, count in row.items() if count)
-        yield Finding(severity="ok", topic=f"class {label}", what=f"{counted(sum(row.values()), 'box')}: {shown}")
+        yield Finding(severity="ok", topic=f"class {label}", what=f"{count_of(sum(row.values()), 'box')}: {shown}")
     reader = survey.dataset.unwrapped
     if not isinstance(reader, Cirrus):
         yield from _own_names(table)
@@ -201,7 +204,7 @@ def check_tracks(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     doubled = sum(len(np.unique(numbers)) < len(numbers) for numbers in tracks)
     if doubled:
         facts["frames_with_doubled_tracks"] = doubled
-        what = f"{doubled} of {len(tracks)} frames have two boxes of one track"
+        what = f"{doubled} of {count_of(len(tracks), 'frame')} have two boxes of one track"
         fix = "An identity is one object: number them anew, or leave the numbers out."
         yield Finding(severity="warn", topic="tracks", what=what, fix=fix)
 
@@ -224,10 +227,10 @@ def check_suspicious_boxes(survey: Survey, facts: dict[str, Any]) -> Iterator[Fi
     yield _overlap(total, empty, near, near_empty)
     if doubled:
         fix = "Two boxes of one class share a place: remove one, or every detection of it counts once as missed."
-        what = f"{doubled} of {total} boxes stand in another of their class"
+        what = f"{doubled} of {count_of(total, 'box', 'boxes')} stand in another of their class"
         yield Finding(severity="warn", topic="doubled boxes", what=what, fix=fix)
     if buried:
-        what = f"{buried} of {total} boxes end below the ground round them"
+        what = f"{buried} of {count_of(total, 'box', 'boxes')} end below the ground round them"
         severity = "fail" if buried > 0.5 * total and total >= 10 else "warn"
         named = " (position_is in the mapping)" if isinstance(survey.dataset.unwrapped, Cirrus) else ""
         fix = f"Check the height of the boxes{named} and the pose of the sensor."
@@ -236,7 +239,8 @@ def check_suspicious_boxes(survey: Survey, facts: dict[str, Any]) -> Iterator[Fi
 
 def _overlap(total: int, empty: int, near: int, near_empty: int) -> Finding:
     what = (
-        f"{total - empty} of {total} boxes hold points above the ground; nearer than 70 m {near - near_empty} of {near}"
+        f"{total - empty} of {count_of(total, 'box', 'boxes')} hold points above "
+        f"the ground; nearer than 70 m {near - near_empty} of {near}"
     )
     if total >= 3 and (empty > 0.9 * total or (near >= 10 and near_empty > 0.75 * near)):
         fix = "Boxes and points do not belong together: check pairing, axes, units and the order of the sizes."
@@ -247,10 +251,17 @@ def _overlap(total: int, empty: int, near: int, near_empty: int) -> Finding:
 
 
 def _count_doubled(boxes: Boxes) -> int:
-    gap = np.linalg.norm(boxes.centre_m[:, None] - boxes.centre_m[None], axis=2)
-    label = np.asarray(boxes.label)
-    same = (label[:, None] == label[None]) & (gap < 0.25 * boxes.size_m[:, :2].min(axis=1)[:, None])
-    return int(np.triu(same, 1).any(axis=0).sum())
+    label, is_doubled = np.asarray(boxes.label), np.zeros(len(boxes), dtype=bool)
+    rows = max(1, _PAIRS_AT_ONCE // max(len(boxes), 1))
+    for start in range(0, len(boxes), rows):
+        part = slice(start, start + rows)
+        gap = np.linalg.norm(boxes.centre_m[part, None] - boxes.centre_m[None], axis=2)
+        same = (label[part, None] == label[None]) & (gap < 0.25 * boxes.size_m[part, :2].min(axis=1)[:, None])
+        is_doubled |= np.triu(same, 1 + start).any(axis=0)
+    return int(is_doubled.sum())
+
+
+_PAIRS_AT_ONCE = 1_000_000
 
 
 # Which way is up, and ahead: axes of clouds; cameras that lie on their side or whose pose is the inverse.

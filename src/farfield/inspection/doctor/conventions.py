@@ -24,6 +24,7 @@ from farfield.frame import Annotation, Boxes
 from farfield.geometry.boxes import BOX_MARGIN_M
 from farfield.geometry.poses import pose_from_yaw
 from farfield.inspection.doctor.survey import Finding, Survey
+from farfield.vocabulary.counts import count_of
 
 # Which reading of the boxes do the points support?
 
@@ -305,7 +306,7 @@ def check_quaternion_order(survey: Survey, facts: dict[str, Any]) -> Iterator[Fi
     other = "wxyz" if read == "xyzw" else "xyzw"
     decided = other if upright[other] > 0.9 and upright[read] < 0.9 else read
     facts["quaternion_order"] = decided
-    evidence = f"{upright[decided]:.0%} of {len(rows)} boxes stand upright so"
+    evidence = f"{upright[decided]:.0%} of {count_of(len(rows), 'box', 'boxes')} stand upright so"
     evidence += f", {upright['wxyz' if decided == 'xyzw' else 'xyzw']:.0%} the other way round"
     what = f"{_SPELLED[decided]}, decided from the data ({evidence})"
     if decided != read:
@@ -418,7 +419,7 @@ def _in_decided_order(survey: Survey, key: tuple[str, str], boxes: Boxes, facts:
 
 
 def _votes(ballot: ConventionVotes) -> str:
-    return f" ({ballot.votes_for} boxes hold more points so, {ballot.votes_against} as read)"
+    return f" ({count_of(ballot.votes_for, 'box holds', 'boxes hold')} more points so, {ballot.votes_against} as read)"
 
 
 def _size_order(
@@ -443,7 +444,10 @@ def _size_order(
     facts["size_order"] = read
     swapped = by_name["size 102"]
     if swapped.loses:
-        votes = f"{swapped.votes_against} boxes hold more points so, {swapped.votes_for} with length and width swapped"
+        votes = (
+            f"{count_of(swapped.votes_against, 'box holds', 'boxes hold')} more points "
+            f"so, {swapped.votes_for} with length and width swapped"
+        )
         what = f"{' '.join(read)}, decided from the data ({votes})"
     else:
         what = f"{' '.join(read)} as documented; the points do not decide (too few, or square boxes)"
@@ -513,6 +517,9 @@ def _centre(
         return
     facts["position"] = "centre"
     ballot = by_name["raised by h/2"]
-    votes = f"{ballot.votes_against} boxes hold more points so, {ballot.votes_for} raised by half their height"
+    votes = (
+        f"{count_of(ballot.votes_against, 'box holds', 'boxes hold')} more "
+        f"points so, {ballot.votes_for} raised by half their height"
+    )
     what = f"position is the centre, decided from the data ({votes})" if ballot.loses else "position is the centre"
     yield Finding(severity="ok", topic="box centre", what=what + ("" if ballot.loses else " as documented"))

@@ -11,11 +11,11 @@ from jaxtyping import Int64
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.folder import Folder
 from farfield.datasets.unread import unread_files
-from farfield.errors import FarfieldError
 from farfield.files.boxes_csv import zeros_note
 from farfield.frame.drive import BREAK_PERIODS
-from farfield.inspection.doctor.survey import Finding, Survey, counted
+from farfield.inspection.doctor.survey import Finding, Survey
 from farfield.sync.stamps import StreamStats, clock_offset_note, health
+from farfield.vocabulary.counts import count_of
 
 
 def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -30,7 +30,7 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(
             severity="ok" if survey.sensors else "fail",
             topic="frames",
-            what=f"{counted(count, 'frame')}: {kinds}",
+            what=f"{count_of(count, 'frame')}: {kinds}",
             fix=""
             if survey.sensors
             else "Add the clouds: without them nothing can be trained or detected. Annotations alone are enough for "
@@ -42,7 +42,8 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     images = ", ".join(f"{number} of {name}" for name, number in survey.images.items())
     yield Finding(severity="ok", topic="images", what=images or "none (clouds alone are enough)")
     yield _calibration(survey)
-    for what in unread_files(survey.dataset.root) if survey.dataset.root.is_dir() else ():
+    files = survey.dataset.files(0) if len(survey.dataset) else ()
+    for what in unread_files(survey.dataset.root, files) if survey.dataset.root.is_dir() else ():
         yield Finding(severity="warn", topic="files", what=what, fix="Convert them, or move them elsewhere.")
     for error in survey.damaged[:5]:
         yield Finding(severity="fail", topic="damaged", what=error, fix="Fix or remove the file.")
@@ -80,8 +81,8 @@ def _cirrus_folders(survey: Survey, reader: Cirrus) -> Iterator[Finding]:
                 fix=f"Only the other pattern can be used. If it is there, name it: layout: {{{pattern}: ...}}.",
             )
             continue
-        facts = counted(files, f"{pattern_name} frame")
-        alone = "" if used == files or pattern == "gaussian" else f", {used} frames have one"
+        facts = count_of(files, f"{pattern_name} frame")
+        alone = "" if used == files or pattern == "gaussian" else f", {count_of(used, 'frame has', 'frames have')} one"
         yield Finding(severity="ok", topic=f"{pattern_name} sweeps", what=facts + alone)
     parts = reader.parts if all_frames else {(one.part.root, one.part.number): one.part for one in chosen}.values()
     stems = {path.stem for part in reader.parts for path in part.files["gaussian"]}
@@ -90,7 +91,7 @@ def _cirrus_folders(survey: Survey, reader: Cirrus) -> Iterator[Finding]:
         yield Finding(
             severity="fail" if not survey.boxes else "warn",
             topic="labels",
-            what=f"{len(orphans)} annotations have no Gaussian sweep of the same name",
+            what=f"{count_of(len(orphans), 'annotation has', 'annotations have')} no Gaussian sweep of the same name",
             where=orphans[0].name,
             fix="Name the annotation like its Gaussian sweep.",
         )
@@ -98,7 +99,7 @@ def _cirrus_folders(survey: Survey, reader: Cirrus) -> Iterator[Finding]:
 
 def _labels(survey: Survey) -> Finding:
     count, boxes = len(survey.dataset), sum(len(part) for part in survey.boxes)
-    what = f"{len(survey.boxes)} of {count} frames annotated, {boxes} boxes"
+    what = f"{len(survey.boxes)} of {count_of(count, 'frame')} annotated, {count_of(boxes, 'box', 'boxes')}"
     if boxes == 0:
         fix = "Training and scoring need boxes; prediction does not. Check the folder's name and the stems."
         return Finding(severity="fail", topic="labels", what=what, fix=fix)
@@ -116,7 +117,7 @@ def _stray_labels(survey: Survey) -> Iterator[Finding]:
         yield Finding(
             severity="warn" if survey.boxes else "fail",
             topic="labels",
-            what=f"{len(strays)} annotations belong to no cloud",
+            what=f"{count_of(len(strays), 'annotation belongs', 'annotations belong')} to no cloud",
             where=strays[0],
             fix=f"Name them like the clouds, such as {reader.frame_ids[0]}. "
             f"{zeros_note([stray.rpartition(' ')[2] for stray in strays], reader.frame_ids)}".rstrip(),
@@ -125,12 +126,9 @@ def _stray_labels(survey: Survey) -> Iterator[Finding]:
 
 def _assumptions(survey: Survey) -> Iterator[Finding]:
     """What the reader decided from the data."""
-    try:
-        sentences = survey.dataset.unwrapped.assumptions
-    except FarfieldError:
-        return  # the survey has reported it
-    for sentence in sentences:
-        yield Finding(severity="warn", topic="reading", what=sentence)
+    for kind, sentence in survey.dataset.remarks:
+        if kind == "note":  # the calibration's row has the warnings
+            yield Finding(severity="warn", topic="reading", what=sentence)
 
 
 def check_timing(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
@@ -139,7 +137,7 @@ def check_timing(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     facts["sequences"] = len(set(sequences))
     times = survey.times_ns
     if not times or any(time is None for time in times):
-        yield Finding(severity="ok", topic="times", what=f"no times; {counted(facts['sequences'], 'sequence')}")
+        yield Finding(severity="ok", topic="times", what=f"no times; {count_of(facts['sequences'], 'sequence')}")
     else:
         yield _rate(np.array(times, dtype=np.int64), sequences, facts)
     if survey.pair_dt_ms:
@@ -152,7 +150,7 @@ def _rate(times_ns: np.ndarray, sequences: tuple[str, ...], facts: dict[str, Any
     same = np.array(sequences[1:]) == np.array(sequences[:-1])
     steps_s = np.diff(times_ns)[same] / 1e9
     facts["segments"] = {name: sequences.count(name) for name in dict.fromkeys(sequences)}
-    lengths = counted(len(facts["segments"]), "segment")
+    lengths = count_of(len(facts["segments"]), "segment")
     if len(steps_s) == 0:
         return Finding(severity="ok", topic="times", what=f"single frames, {lengths}")
     if (steps_s <= 0).any():
@@ -161,7 +159,7 @@ def _rate(times_ns: np.ndarray, sequences: tuple[str, ...], facts: dict[str, Any
     period = float(np.median(steps_s))
     missing = int((steps_s > 1.5 * period).sum())
     facts |= {"frame_rate_hz": round(1 / period, 3), "gaps": missing}
-    what = f"{1 / period:.1f} Hz, {lengths}, {counted(missing, 'gap')} within"
+    what = f"{1 / period:.1f} Hz, {lengths}, {count_of(missing, 'gap')} within"
     return Finding(severity="ok", topic="times", what=what)
 
 
@@ -172,7 +170,7 @@ def _pairs(dt_ms: np.ndarray, frames: int, facts: dict[str, Any]) -> Finding:
     histogram = {name: int(count) for name, count in zip(names, counts, strict=True) if count}
     facts["pair_dt_ms"] = {"median": float(np.median(dt_ms)), "histogram": histogram}
     shown = ", ".join(f"{count} at {name} ms" for name, count in histogram.items())
-    what = f"{len(dt_ms)} of {frames} frames paired; |uniform - Gaussian|: {shown}"
+    what = f"{len(dt_ms)} of {count_of(frames, 'frame')} paired; |uniform - Gaussian|: {shown}"
     if len(dt_ms) < 0.9 * frames:
         fix = "Raise pairing: {max_dt_ms: ...} in the mapping, or use mode: order."
         return Finding(severity="warn", topic="pairing", what=what, fix=fix)
@@ -229,7 +227,7 @@ def check_stamps(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     if not findings:
         worst = max((abs(step.median_ms) for step in steps.values() if step is not None), default=0.0)
         sensors = f", sensors within {worst:.1f} ms of their frames" if steps else ""
-        yield Finding(severity="ok", topic="stamps", what=f"{counted(len(single), 'stream')} in order{sensors}")
+        yield Finding(severity="ok", topic="stamps", what=f"{count_of(len(single), 'stream')} in order{sensors}")
 
 
 def _streams(survey: Survey) -> dict[str, dict[str, Int64[np.ndarray, "n 2"]]]:
@@ -262,7 +260,7 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
         if counts:
             total = sum(counts.values())
             fix = "Times must grow within a drive: look for doubled files, or for a clock that was set."
-            text = f"{name}: {counted(total, 'stamp')} {fault}, of {sum(stats.count for stats in by.values())}"
+            text = f"{name}: {count_of(total, 'stamp')} {fault}, of {sum(stats.count for stats in by.values())}"
             where = ", ".join(list(counts)[:3]) + (", ..." if len(counts) > 3 else "")
             yield Finding(severity="warn", topic="stamps", what=text, where=where, fix=fix)
     breaks = {
@@ -272,7 +270,7 @@ def _stream_findings(name: str, by: Mapping[str, StreamStats]) -> Iterator[Findi
     }
     if breaks and name == FRAMES:
         drive = max(breaks, key=lambda key: breaks[key])
-        text = f"a break of {breaks[drive] / 1e9:.1f} s within a drive; {counted(len(breaks), 'drive')} with one"
+        text = f"a break of {breaks[drive] / 1e9:.1f} s within a drive; {count_of(len(breaks), 'drive')} with one"
         note = clock_offset_note((breaks[drive] - (by[drive].period_ns or 0)) / 1e9)
         text += f". {note}" if note else ""
         fix = "What stands before and after belongs to two drives: sweeps and tracks across it are wrong."
@@ -330,13 +328,14 @@ def _offset_findings(name: str, step: StampOffset) -> Iterator[Finding]:
     """What is wrong with a sensor against the frames."""
     sync = "`farfield sync` on the recording matches them anew."
     if step.apart:
-        text = f"{name} shares no moment with its frames in {counted(step.apart, 'drive')}"
+        text = f"{name} shares no moment with its frames in {count_of(step.apart, 'drive')}"
         fix = f"Its clock is another one, or the wrong files were paired. {sync}"
         yield Finding(severity="warn", topic="stamps", what=text, fix=fix)
         return
     if step.elsewhere > 0.02 * step.frames:
         text = (
-            f"{name} is out of step: in {step.elsewhere} of {step.frames} frames a neighbour's stamp is nearer; "
+            f"{name} is out of step: in {step.elsewhere} of "
+            f"{count_of(step.frames, 'frame')} a neighbour's stamp is nearer; "
             f"typically {step.median_ms:+.1f} ms from its frame"
         )
         yield Finding(severity="warn", topic="stamps", what=text, fix=f"It was not matched by nearness. {sync}")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from farfield.datasets.kradar import KRadar
-from farfield.datasets.kradar.index import KRadarFiles, find_labels, numbered_files, spellings
-from farfield.datasets.kradar.label_table import DEFECTS, LabelTable, read_label_table
+from farfield.datasets.kradar.index import KRadarFiles, find_file, find_labels, numbered_files, spellings
+from farfield.datasets.kradar.label_table import DEFECTS, SINGLE, LabelTable, read_label_table
 from farfield.datasets.kradar.layout import (
     CAMERAS,
     LABEL_TREES,
@@ -22,7 +22,8 @@ from farfield.datasets.kradar.sequence import SequenceFacts
 from farfield.errors import FarfieldError
 from farfield.frame import Drive
 from farfield.frame.provenance import is_simulated
-from farfield.inspection.doctor.survey import Finding, Severity, Survey, counted
+from farfield.inspection.doctor.survey import Finding, Severity, Survey
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.kradar import HOURS, MEAN_SPEEDS_KMH, SEQUENCES, UTC_OFFSET_H
 
 _LOOK_AT = {  # defects that are left as they are; the others are read as they were meant
@@ -76,7 +77,7 @@ def _modalities(
         if not per:
             yield Finding(severity="ok", topic=topic, what="none", absent=True)
             continue
-        what = f"{counted(sum(per.values()), 'file')} in {_share_of(per, names)}"
+        what = f"{count_of(sum(per.values()), 'file')} in {_share_of(per, names)}"
         short = {name: count for name, count in per.items() if count < frames[name]}
         if short:
             what += f"; fewer than frames in {_listed(short)}"
@@ -123,7 +124,7 @@ def _sequence_files(dataset: KRadar, names: Sequence[str], kradar_facts: dict[st
     if silent:
         fix = "Scores by weather leave them out. Add description.txt: road,time,weather."
         yield Finding(severity="warn", topic="conditions", what=f"unknown in {_listed(silent)}", fix=fix)
-    lists = [part for part in ("train", "test") if (dataset.root / SPLIT_FOLDER / f"{part}.txt").is_file()]
+    lists = [part for part in ("train", "test") if find_file(dataset.roots, SPLIT_FOLDER / f"{part}.txt")]
     what = f"official lists {', '.join(lists)}" if lists else "no official lists: quarters are cut as they cut them"
     yield Finding(severity="ok", topic="splits", what=what)
 
@@ -148,7 +149,7 @@ def _versions(
     if not shown:
         yield Finding(severity="ok", topic="label versions", what="none")
         return
-    used = ", ".join(f"{version} ({counted(number, 'frame')})" for version, number in read.most_common())
+    used = ", ".join(f"{version} ({count_of(number, 'frame')})" for version, number in read.most_common())
     mixed = len(read) > 1
     fix = "Scores of different versions must not be mixed: give --labels or labels=." if mixed else ""
     severity: Severity = "warn" if mixed else "ok"
@@ -160,7 +161,8 @@ def _defects(table: LabelTable, kradar_facts: dict[str, Any]) -> Iterator[Findin
     for name, count in table.defects.items():
         if count:
             fix = _LOOK_AT.get(name, "")
-            what = f"{count} {DEFECTS[name]}" + ("" if fix else "; read as they are meant")
+            noun, _, rest = DEFECTS[name].partition(" ")
+            what = f"{count_of(count, SINGLE[noun], noun)} {rest}" + ("" if fix else "; read as they are meant")
             yield Finding(severity="warn" if fix else "ok", topic="label defects", what=what, fix=fix)
     if not any(table.defects.values()):
         yield Finding(severity="ok", topic="label defects", what="none of those that K-Radar is known for")
@@ -171,7 +173,7 @@ def _published(dataset: KRadar, table: LabelTable, kradar_facts: dict[str, Any])
     frames = Counter(table.sequence.tolist())
     short = [name for name, count in frames.items() if name in SEQUENCES and count != SEQUENCES[name].frames]
     kradar_facts["as_published"] = len(frames) - len(short)
-    what = f"{len(frames) - len(short)} of {counted(len(frames), 'sequence')} have as many frames as published"
+    what = f"{len(frames) - len(short)} of {count_of(len(frames), 'sequence')} have as many frames as published"
     yield Finding(severity="ok", topic="completeness", what=what + (f"; not {_listed(short)}" if short else ""))
     stems = np.array([stem.split("_") for stem in table.stem.tolist()], dtype=np.int64)
     expected = np.array([dataset.frame_difference(name) for name in table.sequence.tolist()])
@@ -185,7 +187,7 @@ def _units(table: LabelTable, kradar_facts: dict[str, Any]) -> Iterator[Finding]
     """Decide half or full sizes and degrees or radians, and whether headings follow the road."""
     sedan = table.name == "Sedan"
     if sedan.sum() < _LEAST_BOXES:
-        what = f"{counted(int(sedan.sum()), 'Sedan')}: too few to decide units and yaw"
+        what = f"{count_of(int(sedan.sum()), 'Sedan')}: too few to decide units and yaw"
         yield Finding(severity="ok", topic="label units", what=what)
         return
     length = float(np.median(table.size_m[sedan, 0]))
@@ -216,7 +218,11 @@ def _headings(yaw_deg: np.ndarray, kradar_facts: dict[str, Any]) -> Finding:
 
 def _share_of(having: Iterable[str], names: Sequence[str]) -> str:
     number = len(list(having))
-    return f"all {counted(len(names), 'sequence')}" if number == len(names) else f"{number} of {len(names)} sequences"
+    return (
+        f"all {count_of(len(names), 'sequence')}"
+        if number == len(names)
+        else f"{number} of {count_of(len(names), 'sequence')}"
+    )
 
 
 def _listed(names: Iterable[str]) -> str:

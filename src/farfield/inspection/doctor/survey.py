@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
+from farfield.files.limits import open_file
 from farfield.frame import Boxes, Cloud, Frame
 from farfield.frame.cloud import CLOUD_SUFFIXES
 from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
@@ -19,16 +20,6 @@ from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 # What the doctor finds, and how it prints.
 
 Severity = Literal["ok", "warn", "fail"]
-
-
-def counted(number: int, noun: str) -> str:
-    """Write a number with its noun.
-
-    >>> counted(1, "frame"), counted(3, "box")
-    ('1 frame', '3 boxes')
-    """
-    plural = f"{noun}es" if noun.endswith("x") else f"{noun}s"
-    return f"{number} {noun if number == 1 else plural}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +133,8 @@ class SurveyBlock:
         pair_dt_ms: Uniform minus Gaussian times of the paired frames.
         boxes: Boxes of every annotated frame.
         box_frames: Which frames these are.
-        image_sizes: Frames by image's name, width and height, of those whose clouds were read.
+        image_sizes: Frames by image's name, width and height, and those for which the frame's camera is calibrated, of
+            those whose clouds were read.
         clouds_by_digest: Paths of all frames' cloud files by a digest of their size, beginning and end.
         raw_labels: How often each class name stands in the files, where a reader tells.
         unlabelled: Number of frames without annotation.
@@ -158,7 +150,7 @@ class SurveyBlock:
     pair_dt_ms: list[float] = field(default_factory=list)
     boxes: list[Boxes] = field(default_factory=list)
     box_frames: list[FrameFacts] = field(default_factory=list)
-    image_sizes: dict[tuple[str, int, int], list[str]] = field(default_factory=dict)
+    image_sizes: dict[tuple[str, int, int, int, int], list[str]] = field(default_factory=dict)
     clouds_by_digest: dict[str, list[str]] = field(default_factory=dict)
     raw_labels: dict[str, int] = field(default_factory=dict)
     unlabelled: int = 0
@@ -292,14 +284,14 @@ def _digest_files(block: SurveyBlock, paths: Sequence[Path]) -> None:
         if path.suffix.lower() not in CLOUD_SUFFIXES:
             continue
         try:
-            with path.open("rb") as handle:
+            with open_file(path, max_bytes=None) as handle:
                 size = handle.seek(0, SEEK_END)
                 handle.seek(0)
                 parts = [handle.read(_PART_BYTES)]
                 for at in (size // 2, max(size - _PART_BYTES, 0)):
                     handle.seek(at)
                     parts.append(handle.read(_PART_BYTES))
-        except OSError:
+        except (OSError, FarfieldError):
             continue  # reported where the cloud is read
         digest = blake2b(b"".join([str(size).encode(), *parts]), digest_size=16).hexdigest()
         block.clouds_by_digest.setdefault(digest, []).append(str(path))
@@ -315,7 +307,8 @@ def _measure_images(block: SurveyBlock, frame: Frame) -> None:
         except (FarfieldError, OSError, ValueError) as error:
             block.damaged.append(str(error))
             continue
-        block.image_sizes.setdefault((name, width, height), []).append("/".join(frame.key))
+        sizes = (name, width, height, camera.width_px, camera.height_px)
+        block.image_sizes.setdefault(sizes, []).append("/".join(frame.key))
 
 
 def _clouds(block: SurveyBlock, frame: Frame) -> dict[str, Cloud]:

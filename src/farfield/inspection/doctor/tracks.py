@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from farfield.geometry.poses import transform_points
-from farfield.inspection.doctor.survey import Finding, FrameFacts, Survey, counted
+from farfield.inspection.doctor.survey import Finding, FrameFacts, Survey
+from farfield.vocabulary.counts import count_of
 
 _JUMP_M, _FASTEST_M_S, _JUMP_STEPS = 30.0, 100.0, 10.0
 _FLIP_RAD, _FLIP_S, _LONG_M = 2.6, 1.0, 3.0
@@ -92,7 +93,7 @@ def _changed_classes(steps: Sequence[_TrackStep]) -> Iterator[Finding]:
         yield Finding(
             severity="warn",
             topic="tracks",
-            what=f"{counted(len(tracks), 'track')} with several classes, such as {first.labels[0]} and "
+            what=f"{count_of(len(tracks), 'track')} with several classes, such as {first.labels[0]} and "
             f"{first.labels[1]}: {_named(first)}",
             where=first.frames[0].key[0],
             fix="An identity is one object of one class: give one of the two another number, or mend its class.",
@@ -114,7 +115,7 @@ def _jumps(steps: Sequence[_TrackStep]) -> Iterator[Finding]:
         yield Finding(
             severity="warn",
             topic="tracks",
-            what=f"{counted(len(jumps), 'jump')} that no road user makes, the farthest of {worst.moved_m:.0f} m: "
+            what=f"{count_of(len(jumps), 'jump')} that no road user makes, the farthest of {worst.moved_m:.0f} m: "
             f"{_named(worst)}",
             where=worst.frames[0].key[0],
             fix="A number was used again for another object, a coordinate slipped, or frames are missing between.",
@@ -133,7 +134,7 @@ def _flips(steps: Sequence[_TrackStep]) -> Iterator[Finding]:
         yield Finding(
             severity="warn",
             topic="tracks",
-            what=f"{counted(len(flips), 'heading')} of {counted(len(steps), 'step')} turns to its opposite: "
+            what=f"{count_of(len(flips), 'heading')} of {count_of(len(steps), 'step')} turns to its opposite: "
             f"{_named(flips[0])}",
             where=flips[0].frames[0].key[0],
             fix="Front and back were exchanged in some frames: headings, velocities and their errors are wrong there.",

@@ -14,6 +14,7 @@ from jaxtyping import Float32, Int
 
 from farfield.frame import Frame
 from farfield.geometry.poses import invert, transform_points
+from farfield.inspection.statistics.background import BackgroundTally
 from farfield.inspection.statistics.objects import ObjectRows
 from farfield.inspection.statistics.radar import RadarTally, box_excess, map_statistics, power_map_db
 from farfield.vocabulary.conditions import CONDITIONS
@@ -130,6 +131,7 @@ class Statistics:
     protocols: Counter[str] = field(default_factory=Counter)
     marked_simulated: Counter[str] = field(default_factory=Counter)
     clouds: dict[str, CloudTally] = field(default_factory=dict)
+    background: dict[str, BackgroundTally] = field(default_factory=dict)
     objects: ObjectRows = field(default_factory=ObjectRows)
     radar: RadarTally = field(default_factory=RadarTally)
 
@@ -149,6 +151,9 @@ class Statistics:
         for name, cloud in loaded.items():
             tally = self.clouds.setdefault(name, CloudTally(focus_deg=self.focus_deg))
             tally.add(cloud.points_m, shots=shots.get(name))
+            if cloud.kind == "lidar":
+                background = self.background.setdefault(name, BackgroundTally())
+                background.add(cloud.points_m, frame.boxes, frame.sequence)
         heard = self.radar.add(frame.radar)
         if frame.boxes is not None:
             excess = None if heard is None else self._excess(frame, *heard)
@@ -180,6 +185,8 @@ class Statistics:
         self.marked_simulated.update(other.marked_simulated)
         for name, tally in other.clouds.items():
             self.clouds.setdefault(name, CloudTally(focus_deg=self.focus_deg)).merge(tally)
+        for name, background in other.background.items():
+            self.background.setdefault(name, BackgroundTally()).merge(background)
         self.objects.merge(other.objects)
         self.radar.merge(other.radar)
 
@@ -218,7 +225,9 @@ class Statistics:
                 for name, counter in self.conditions.items()
             },
             "clouds": {
-                name: tally.summary() | self.objects.points_summary(name, self.vehicle_labels)
+                name: tally.summary()
+                | self.objects.points_summary(name, self.vehicle_labels)
+                | ({"background": self.background[name].summary()} if name in self.background else {})
                 for name, tally in self.clouds.items()
             },
             "pattern_ratio_beyond_50_m": self.objects.pattern_ratio(self.vehicle_labels),

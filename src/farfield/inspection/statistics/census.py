@@ -20,6 +20,7 @@ from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
 from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 from farfield.vocabulary.conditions import CONDITIONS, UNKNOWN
+from farfield.vocabulary.counts import count_of
 
 _BLOCK = 50  # frames that a worker reads at a time
 RANGE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 150.0, 200.0, np.inf)
@@ -315,6 +316,6 @@ def dataset_notes(dataset: Dataset) -> tuple[str, ...]:
             sources[reader.of_sequence(sequence).conditions_from or "nowhere"] += 1
         except FarfieldError:
             sources["a damaged file"] += 1
-    shown = ", ".join(f"{version} in {count:,} frames" for version, count in versions.most_common())
-    source_text = ", ".join(f"{source} in {count} sequences" for source, count in sources.most_common())
+    shown = ", ".join(f"{version} in {count_of(count, 'frame', spec=',')}" for version, count in versions.most_common())
+    source_text = ", ".join(f"{source} in {count_of(count, 'sequence')}" for source, count in sources.most_common())
     return f"annotations: {shown}", f"conditions come from: {source_text}"

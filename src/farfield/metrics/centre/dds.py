@@ -24,6 +24,7 @@ from farfield.metrics.detections import Detections
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.presenting import Presentation, Words, by_number
 from farfield.metrics.result import Result, table, value_at
+from farfield.vocabulary.counts import count_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +50,7 @@ class DdsResult(Result):
         head = ["range", "annotated", "predicted", "epsilon", "DDS", "mAP", "aIoU"]
         limit = self.settings["aiou_threshold_m"]
         within = f"within {limit:g} m" if isinstance(limit, int | float) else "within the least threshold"
-        matches = f"aIoU of the whole: mean over {self.counts['matches']} matches {within}"
+        matches = f"aIoU of the whole: mean over {count_of(self.counts['matches'], 'match', 'matches')} {within}"
         return f"{title}\n\n{table(head, rows)}\n\n{matches}\n{self.footer()}"
 
 

@@ -28,7 +28,7 @@ from farfield.metrics.bootstrap import (
     Statistics,
     point_and_intervals,
 )
-from farfield.metrics.centre.matching import DROPPED, Limits, greedy_match, rank_predictions
+from farfield.metrics.centre.matching import DROPPED, NO_MATCH, Limits, greedy_match, rank_predictions
 from farfield.metrics.centre.settings import CentreSettings
 from farfield.metrics.curves import FIRST, RECALL, Ranking, average_precisions, mean_errors, row_chunks, weighted_curves
 from farfield.metrics.frames import (
@@ -43,6 +43,7 @@ from farfield.metrics.frames import (
     in_region,
     nearest_first,
 )
+from farfield.vocabulary.counts import count_of
 
 Variant = tuple[float, float]  # epsilon, threshold in metres
 ERRORS = ("trans_err", "scale_err", "orient_err")
@@ -185,7 +186,12 @@ def gather(
     for name in settings.ignore:
         ignored |= has_label(annotated, name, settings.relabel)
     counted = has_label(annotated, settings.label, settings.relabel) | ignored
-    counted &= _enough_points(annotated, settings.min_points)  # ignored ones go too: predictions there are then false
+    ignored |= ~in_region(annotated, settings)  # of these only what lies on the seam is left below
+    enough = _enough_points(annotated, settings.min_points)
+    if settings.ignores_few:
+        ignored |= counted & ~enough
+    else:
+        counted &= enough  # ignored ones go too: predictions there are then false
     group, grouped_by = group_frames(keys, drives)
     boxes = CentreBoxes(
         predicted=predicted,
@@ -197,7 +203,7 @@ def gather(
         grouped_by=grouped_by,
         over_limit=stream.over_limit,
     )
-    return boxes.cut(np.ones(len(predicted), dtype=bool), counted & in_region(annotated, settings))
+    return boxes.cut(np.ones(len(predicted), dtype=bool), counted & in_region(annotated, settings.with_seam()))
 
 
 class _PredictionStream:
@@ -205,6 +211,7 @@ class _PredictionStream:
 
     def __init__(self, predictions: BoxesByFrame, keys: Sequence[Key], settings: CentreSettings) -> None:
         self.predictions, self.keys, self.settings = predictions, keys, settings
+        self.region = settings.with_seam()
         self.per_frame, self.over_limit = np.zeros(len(keys), dtype=np.int64), 0
 
     def __iter__(self) -> Iterator[Boxes]:
@@ -216,7 +223,7 @@ class _PredictionStream:
                 if len(boxes) > self.settings.max_boxes and boxes.score is not None:
                     mask[np.argsort(-boxes.score, kind="stable")[self.settings.max_boxes :]] = False
                 self.over_limit += len(boxes) - int(np.count_nonzero(mask))
-                mask &= has_label(boxes, self.settings.label, self.settings.relabel) & in_region(boxes, self.settings)
+                mask &= has_label(boxes, self.settings.label, self.settings.relabel) & in_region(boxes, self.region)
                 self.per_frame[frame] = np.count_nonzero(mask)
                 yield boxes[mask]
 
@@ -289,6 +296,7 @@ def match_boxes(boxes: CentreBoxes, settings: CentreSettings) -> GreedyMatches:
         limits,
         ignored=boxes.ignored,
     )
+    assigned[(assigned == NO_MATCH) & ~in_region(boxes.predicted, settings)] = DROPPED  # on the seam
     return GreedyMatches(order=order, confidence=boxes.score, assigned=dict(zip(variants, assigned, strict=True)))
 
 
@@ -378,7 +386,7 @@ def rank(
         error=errors,
         annotated=int(per_group.sum()),
         ignored=int((boxes.ignored & annotated_in).sum()),
-        predicted=int(predicted_in.sum()),
+        predicted=int((predicted_in & in_region(boxes.predicted, settings)).sum()),
     )
 
 
@@ -506,7 +514,8 @@ def low_recall_notes(
             where = "over all ranges" if name == "overall" else f"at {name} m"
             score = "aIoU counts as 0" if settings.with_aiou else "errors count as 1"
             notes.append(
-                f"{where} only {recall:.2f} of the {part.annotated} objects are found within {limit:g} m, and "
+                f"{where} only {recall:.2f} of the {count_of(part.annotated, 'object is', 'objects are')} "
+                f"found within {limit:g} m, and "
                 f"averages begin at a recall of {least:g}: AP there is 0, and {score}"
             )
     return notes

@@ -46,6 +46,8 @@ class NuScenesSettings(CentreSettings):
 class NuScenesResult(Result):
     """AP by threshold and the true-positive errors, by range."""
 
+    heading: ClassVar[str] = "nuScenes detection metrics"
+
     def __str__(self) -> str:
         counts = self.counts["ranges"] | {"overall": self.counts}
         names = ["map", *(name for name in self.figures if name.startswith(("ap/", "errors/")))]
@@ -54,7 +56,7 @@ class NuScenesResult(Result):
             shown = name.replace("ap/", "AP at ").replace("errors/", "").replace("map", "mAP")
             rows.append([shown + (" m" if name.startswith("ap/") else ""), *(self.cell(p, name) for p in counts)])
         rows += [[name, *(str(part[name]) for part in counts.values())] for name in ("annotated", "predictions")]
-        title = f"nuScenes detection metrics of {self.label!r}, by range in metres; '-': nothing annotated"
+        title = f"{self.heading} of {self.label!r}, by range in metres; '-': nothing annotated"
         return f"{title}\n\n{table(['', *counts], rows)}\n\n{self.footer()}"
 
 

@@ -5,7 +5,7 @@ are those of the list of ambiguities in ``docs/metrics.md``.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
@@ -65,6 +65,8 @@ class CentreSettings:
     """
 
     with_aiou: ClassVar[bool] = True  # whether aligned IoU, and with it DDS, is among the figures
+    ignores_few: ClassVar[bool] = False  # whether boxes of fewer points than min_points are ignored, not removed
+    seam_m: ClassVar[float] = 0.0  # so far outside the window's edges in x annotated boxes are ignored, not removed
 
     label: str = "vehicle"
     relabel: Mapping[str, str] = field(default_factory=lambda: {"large_vehicle": "vehicle"})
@@ -121,6 +123,11 @@ class CentreSettings:
     def all_thresholds_m(self) -> tuple[float, ...]:
         """Thresholds at which boxes are matched: those whose AP is averaged, then those of the errors."""
         return tuple(dict.fromkeys((*self.thresholds_m, *self.error_thresholds_m)))
+
+    def with_seam(self) -> "CentreSettings":
+        """The same settings with a window that is wider by the seam."""
+        x_from, x_to, y_from, y_to = self.window_m
+        return replace(self, window_m=(x_from - self.seam_m, x_to + self.seam_m, y_from, y_to))
 
     def to_json(self) -> dict[str, Any]:
         """All options as JSON values."""

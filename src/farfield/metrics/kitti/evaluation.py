@@ -1,8 +1,11 @@
-"""KITTI's average precision (Geiger et al., CVPR 2012): BEV and 3D overlap, R11 and R40, three difficulties.
+"""KITTI's average precision (Geiger et al., CVPR 2012): 2D, BEV and 3D overlap, AOS, R11 and R40, three difficulties.
 
 A detection matches an annotated box of its class whose exact rotated IoU with it exceeds 0.7 (Car) or 0.5 (others):
 
-    IoU(a, b) = |a and b| / |a or b|,   in the x-y plane ("bev") or in space ("3d")
+    IoU(a, b) = |a and b| / |a or b|,   in the image ("2d"), the x-y plane ("bev") or in space ("3d")
+
+The average orientation similarity ("aos") is that of the image with s / (TP + FP) in the place of precision, where s
+sums (1 + cos d) / 2 over the matches, d the difference of the headings as the camera sees them.
 
 The *annotated* boxes choose, in the order of the file, each a detection that is still free: first by score, to find the
 scores at which recall grows; then, at each of 41 thresholds, by overlap among the detections above it. Precision is
@@ -11,11 +14,12 @@ sampled over recall as :mod:`farfield.metrics.recall_sampling` says: R11 average
 
 Conventions. Annotated boxes of a neighbouring class (Van for Car) or beyond the difficulty may be found or not.
 Detections whose 2D box is too low for the difficulty do not count. ``DontCare`` regions excuse detections in KITTI's 2D
-measure only; ``dontcare="image"`` lets them do so here too. Without 2D facts there is one difficulty, ``all``.
+measure only; ``dontcare="image"`` lets them do so in the others too. Without 2D facts of the annotation there is one
+difficulty, ``all``; without 2D boxes on both sides there are neither "2d" nor "aos".
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, Literal
@@ -26,7 +30,7 @@ from jaxtyping import Bool, Float, Int
 from farfield.errors import ConfigError
 from farfield.frame.drive import Drive, Key
 from farfield.geometry.boxes import Boxes
-from farfield.geometry.iou import paired_iou
+from farfield.geometry.iou import iou_of_pairs
 from farfield.metrics.bootstrap import Bootstrap, Draws, Weighted, point_and_intervals
 from farfield.metrics.frames import (
     BoxesByFrame,
@@ -37,11 +41,14 @@ from farfield.metrics.frames import (
     has_label,
     in_range,
     in_region,
-    same_owner,
+    near_pairs,
 )
+from farfield.metrics.kitti.image import heading_similarity, image_iou, image_overlap_px
+from farfield.metrics.kitti.matching import Candidates, count_at_thresholds, places_of_rows, recall_scores
 from farfield.metrics.options import check_range_bins, json_options, option_text
-from farfield.metrics.recall_sampling import ThresholdCounts, sample_thresholds
+from farfield.metrics.recall_sampling import SAMPLES, ThresholdCounts, sample_thresholds
 from farfield.metrics.result import Result, table
+from farfield.vocabulary.counts import count_of
 
 Details = Mapping[Key, Mapping[str, np.ndarray]]
 _PartMasks = dict[str, tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " m"]]]  # predicted and annotated boxes inside
@@ -147,9 +154,10 @@ def evaluate_kitti(
         predictions: Scored boxes by (sequence, frame). A frame without an entry has no detections.
         annotations: Annotated boxes by (sequence, frame): every frame that counts, those without boxes too.
         settings: The options; None takes the defaults.
-        prediction_details: By frame, in the order of its boxes: ``box_px`` (n, 4) as left, top, right, bottom.
-        annotation_details: Likewise ``truncation`` (n,), ``occlusion`` (n,), ``box_px`` (n, 4), and ``dontcare_px``
-            (k, 4). None evaluates one difficulty, ``all``.
+        prediction_details: By frame, in the order of its boxes: ``box_px`` (n, 4) as left, top, right, bottom, and
+            ``alpha_rad`` (n,), the heading as the camera sees it.
+        annotation_details: Likewise ``truncation`` (n,), ``occlusion`` (n,), ``box_px`` (n, 4), ``alpha_rad`` (n,), and
+            ``dontcare_px`` (k, 4). None evaluates one difficulty, ``all``.
         drives: Drives of the data, which the bootstrap draws; without them sequences are drawn.
 
     Returns:
@@ -216,9 +224,10 @@ def _part_masks(data: "KittiFrames", settings: KittiSettings) -> _PartMasks:
 def _count_parts(data: "KittiFrames", settings: KittiSettings, parts: _PartMasks) -> dict[str, _PartCounts]:
     return {
         part: {
-            (measure, difficulty): _count(data, settings, measure, difficulty, *inside)
+            (name, difficulty): counted
             for measure in data.overlap
             for difficulty in data.hardness
+            for name, counted in _count(data, settings, measure, difficulty, *inside).items()
         }
         for part, inside in parts.items()
     }
@@ -247,13 +256,14 @@ class KittiFrames:
     predicted: Boxes
     predicted_frame: Int[np.ndarray, " n"]
     height_px: Float[np.ndarray, " n"]
-    harmless: Bool[np.ndarray, " n"]
+    harmless: dict[str, Bool[np.ndarray, " n"]]  # by measure
     annotated: Boxes
     annotated_frame: Int[np.ndarray, " m"]
     is_label: Bool[np.ndarray, " m"]
     hardness: dict[str, Bool[np.ndarray, " m"]]  # by difficulty: boxes beyond it
     pair: Int[np.ndarray, "p 2"]  # annotated, predicted
     overlap: dict[str, Float[np.ndarray, " p"]]
+    similarity: Float[np.ndarray, " p"]  # of headings as a camera sees them
     group: Int[np.ndarray, " f"]
     grouped_by: str
 
@@ -286,44 +296,59 @@ def gather_kitti(
     used &= in_region(annotated, settings)
     scored = has_label(predicted, settings.label, settings.relabel) & in_region(predicted, settings)
     box_px = detail_column(prediction_details, keys, frame_predictions, "box_px", 4)
-    harmless = np.zeros(len(predicted), dtype=bool)
-    if settings.dontcare == "image":
-        harmless = in_dontcare(box_px, predicted_frame, keys, annotation_details or {}, settings.least_overlap)
+    marked_px = detail_column(annotation_details or {}, keys, frame_annotations, "box_px", 4)
+    in_image = box_px is not None and marked_px is not None
+    none = np.zeros(len(predicted), dtype=bool)
+    excused = none
+    if settings.dontcare == "image" or in_image:
+        excused = in_dontcare(box_px, predicted_frame, keys, annotation_details or {}, settings.least_overlap)
     hardness = _hardness(annotation_details or {}, keys, frame_annotations)
     height_px = np.full(len(predicted), np.inf) if box_px is None else np.abs(box_px[:, 3] - box_px[:, 1])
+    angles = [
+        detail_column(details, keys, frames, "alpha_rad", 1)
+        for details, frames in ((annotation_details or {}, frame_annotations), (prediction_details, frame_predictions))
+    ]
+    columns_px = (marked_px[used], box_px[scored]) if box_px is not None and marked_px is not None else None
+    alpha_rad = [
+        None if column is None else column[rows, 0] for column, rows in zip(angles, (used, scored), strict=True)
+    ]
     predicted, annotated = predicted[scored], annotated[used]
     predicted_frame, annotated_frame = predicted_frame[scored], annotated_frame[used]
-    pair = _pairs(predicted, predicted_frame, annotated, annotated_frame, len(keys))
+    nearness = partial(_nearness, annotated, predicted, columns_px)
+    pair, _ = near_pairs(annotated_frame, predicted_frame, len(keys), nearness, keys.__getitem__)
+    overlap = {kind: iou_of_pairs(annotated, predicted, pair, kind=kind) for kind in ("bev", "3d")}
+    overlap |= {"2d": image_iou(*columns_px, pair)} if columns_px else {}
     group, grouped_by = group_frames(keys, drives)
+    harmless = (excused if settings.dontcare == "image" else none)[scored]
     return KittiFrames(
         predicted=predicted,
         predicted_frame=predicted_frame,
         height_px=height_px[scored],
-        harmless=harmless[scored],
+        harmless={"bev": harmless, "3d": harmless, "2d": excused[scored]},
         annotated=annotated,
         annotated_frame=annotated_frame,
         is_label=is_label[used],
         hardness={name: hard[used] for name, hard in hardness.items()},
         pair=pair,
-        overlap={kind: paired_iou(annotated[pair[:, 0]], predicted[pair[:, 1]], kind=kind) for kind in ("bev", "3d")},
+        overlap=overlap,
+        similarity=heading_similarity(annotated, predicted, pair, *alpha_rad),
         group=group,
         grouped_by=grouped_by,
     )
 
 
-def _pairs(
-    predicted: Boxes,
-    predicted_frame: Int[np.ndarray, " n"],
+def _nearness(
     annotated: Boxes,
-    annotated_frame: Int[np.ndarray, " m"],
-    frames: int,
-) -> Int[np.ndarray, "p 2"]:
-    """Pairs (annotated, predicted) of one frame whose circumscribed circles meet, in the order of the boxes."""
-    box, detection = same_owner(annotated_frame, predicted_frame, frames)
+    predicted: Boxes,
+    box_px: tuple[Float[np.ndarray, "m 4"], Float[np.ndarray, "n 4"]] | None,
+    pair: Int[np.ndarray, "p 2"],
+) -> Float[np.ndarray, " p"]:
+    """By how much the circumscribed circles of each pair meet, squared metres, or the boxes in the image, if more."""
+    box, detection = pair.T
     gap = annotated.centre_m[box, :2] - predicted.centre_m[detection, :2]
     radius_m = (np.hypot(*annotated.size_m[:, :2].T)[box] + np.hypot(*predicted.size_m[:, :2].T)[detection]) / 2
-    near = (gap**2).sum(axis=1) < radius_m**2
-    return np.column_stack([box[near], detection[near]])
+    near = radius_m**2 - (gap**2).sum(axis=1)
+    return near if box_px is None else np.maximum(near, image_overlap_px(*box_px, pair))
 
 
 def detail_column(
@@ -341,7 +366,8 @@ def detail_column(
         values = np.asarray(details.get(key, {}).get(name, np.zeros((0, width))), dtype=np.float64).reshape(-1, width)
         if len(values) != len(part):
             raise ConfigError(
-                f"details[{key}][{name!r}]: expected a row for each of {len(part)} boxes, got {len(values)}"
+                f"details[{key}][{name!r}]: expected a row for each of "
+                f"{count_of(len(part), 'box', 'boxes')}, got {len(values)}"
             )
         parts.append(values)
     return np.concatenate(parts)
@@ -386,68 +412,6 @@ def in_dontcare(
 # Step 2: match and count
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Candidates:
-    """Which detections overlap each annotated box enough, padded by frame.
-
-    Args:
-        choice: Places of detections in their frame, -1 where there is none, shape (frames, boxes, choices).
-        overlap: Their overlaps, shape (frames, boxes, choices).
-        counts: 1 where an annotated box must be found, 0 where it may be, shape (frames, boxes).
-        score: Scores, -inf where there is no detection, shape (frames, detections).
-        small: Detections too small to count, shape (frames, detections).
-        harmless: Detections that are not false even if no box takes them, shape (frames, detections).
-    """
-
-    choice: Int[np.ndarray, "f b c"]
-    overlap: Float[np.ndarray, "f b c"]
-    counts: Int[np.ndarray, "f b"]
-    score: Float[np.ndarray, "f d"]
-    small: Bool[np.ndarray, "f d"]
-    harmless: Bool[np.ndarray, "f d"]
-
-
-def recall_scores(frames: Candidates) -> Float[np.ndarray, " h"]:
-    """Scores of the detections that count as found when all detections are allowed, falling, shape (h,)."""
-    frame = np.arange(len(frames.score))
-    assigned = np.zeros(frames.score.shape, dtype=bool)
-    scores = []
-    for box in range(frames.choice.shape[1]):
-        detection = frames.choice[:, box]
-        free = (detection >= 0) & ~assigned[frame[:, None], detection]
-        best = np.where(free, frames.score[frame[:, None], detection], -np.inf).argmax(axis=1)
-        chosen, is_assigned = detection[frame, best], free[frame, best]
-        assigned[frame[is_assigned], chosen[is_assigned]] = True
-        true = is_assigned & (frames.counts[:, box] == 1) & ~frames.small[frame, chosen]
-        scores.append(frames.score[frame[true], chosen[true]])
-    return np.sort(np.concatenate([np.zeros(0), *scores]))[::-1]
-
-
-def count_at_thresholds(
-    frames: Candidates, thresholds: Float[np.ndarray, " t"]
-) -> tuple[Int[np.ndarray, "t f"], Int[np.ndarray, "t f"]]:
-    """True and false positives of every frame at every threshold, each of shape (thresholds, frames)."""
-    t = np.arange(len(thresholds))[:, None, None]
-    allowed = frames.score[None] >= thresholds[:, None, None]
-    assigned = np.zeros(allowed.shape, dtype=bool)
-    true = np.zeros(allowed.shape[:2], dtype=np.int64)
-    for box in range(frames.choice.shape[1]):
-        rows = np.flatnonzero((frames.choice[:, box] >= 0).any(axis=1))
-        detection = frames.choice[rows, box]
-        free = (detection >= 0) & allowed[t, rows[:, None], detection] & ~assigned[t, rows[:, None], detection]
-        small = frames.small[rows[:, None], detection]
-        # The largest overlap wins; a detection too small to count is taken only where there is no other, the first.
-        preference = np.where(small, -1.0 - np.arange(detection.shape[1]), frames.overlap[rows, box])
-        best = np.where(free, preference, -np.inf).argmax(axis=2)
-        row = np.arange(len(rows))
-        chosen = detection[row, best]
-        is_assigned = free[t[:, :, 0], row, best]
-        assigned[t[:, :, 0], rows, chosen] |= is_assigned
-        true[:, rows] += is_assigned & (frames.counts[rows, box] == 1) & ~frames.small[rows, chosen]
-    false = allowed & ~assigned & ~(frames.small | frames.harmless) & np.isfinite(frames.score)
-    return true, false.sum(axis=2)
-
-
 def _count(
     data: KittiFrames,
     settings: KittiSettings,
@@ -455,25 +419,66 @@ def _count(
     difficulty: str,
     predicted_in: Bool[np.ndarray, " n"],
     annotated_in: Bool[np.ndarray, " m"],
-) -> ThresholdCounts:
+) -> dict[str, ThresholdCounts]:
+    """Counts of one measure, and of AOS beside that of the image."""
     must_find = data.is_label & ~data.hardness[difficulty] & annotated_in
     annotated = np.bincount(data.group[data.annotated_frame[must_find]], minlength=data.groups)
     small = data.height_px < (DIFFICULTIES[difficulty][0] if difficulty in DIFFICULTIES else 0.0)
     enough = data.overlap[measure] > settings.least_overlap
-    frames = candidates(data, enough, measure, must_find, small, predicted_in, annotated_in)
+    blocks = _blocks_of_frames(data, enough, predicted_in, annotated_in)
+    padded = partial(candidates, data, enough, measure, must_find, small, predicted_in, annotated_in)
     total = int(annotated.sum())
-    thresholds, recalls = sample_thresholds(recall_scores(frames), total) if total else ([], [])
-    true, false = count_at_thresholds(frames, np.array(thresholds, dtype=np.float64))
-    return ThresholdCounts(
+    thresholds: list[float] = []
+    recalls: list[float] = []
+    if total:
+        scores = np.concatenate([recall_scores(padded(block)) for block in blocks])
+        thresholds, recalls = sample_thresholds(np.sort(scores)[::-1], total)
+    true, false, alike = (np.zeros((len(thresholds), len(data.group))) for _ in range(3))
+    for block in blocks:
+        counts = count_at_thresholds(padded(block), np.array(thresholds, dtype=np.float64))
+        true[:, block], false[:, block], alike[:, block] = counts
+    counted = ThresholdCounts(
         thresholds=thresholds,
         recalls=recalls,
         true=_by_group(true, data),
         false=_by_group(false, data),
         annotated=annotated,
     )
+    if measure != "2d":
+        return {measure: counted}
+    return {measure: counted, "aos": replace(counted, worth=_by_group(alike, data))}
 
 
-def _by_group(counts: Int[np.ndarray, "t f"], data: KittiFrames) -> Float[np.ndarray, "t g"]:
+_PADDED_AT_ONCE = 8_000_000  # numbers of a block of frames
+
+
+def _blocks_of_frames(
+    data: KittiFrames,
+    enough: Bool[np.ndarray, " p"],
+    predicted_in: Bool[np.ndarray, " n"],
+    annotated_in: Bool[np.ndarray, " m"],
+) -> list[Int[np.ndarray, " f"]]:
+    """Frames, each in one block, that together fill little memory when all are padded to the largest of their block."""
+    frames = len(data.group)
+    width = np.bincount(data.predicted_frame[predicted_in], minlength=frames)
+    depth = np.bincount(data.annotated_frame[annotated_in], minlength=frames)
+    box = data.pair[enough & annotated_in[data.pair[:, 0]] & predicted_in[data.pair[:, 1]], 0]
+    most = np.zeros(frames, dtype=np.int64)
+    np.maximum.at(most, data.annotated_frame, np.bincount(box, minlength=len(data.annotated)))
+    sizes = np.maximum(np.array([width, depth, most]), 1)
+    widest, deepest, longest = sizes.max(axis=1, initial=1).tolist()
+    if frames * max(SAMPLES * widest, deepest * longest) <= _PADDED_AT_ONCE:
+        return [np.arange(frames)]
+    blocks = []
+    kinds = np.unique(np.ceil(np.log2(sizes)).astype(np.int64), axis=1, return_inverse=True)
+    for kind, (wide, deep, choices) in enumerate((2 ** kinds[0].T).tolist()):
+        chosen = np.flatnonzero(kinds[1].reshape(-1) == kind)
+        step = max(_PADDED_AT_ONCE // max(SAMPLES * wide, deep * choices), 1)
+        blocks += [chosen[start : start + step] for start in range(0, len(chosen), step)]
+    return blocks
+
+
+def _by_group(counts: Float[np.ndarray, "t f"], data: KittiFrames) -> Float[np.ndarray, "t g"]:
     sums = [np.bincount(data.group, weights=row, minlength=data.groups) for row in counts]
     return np.array(sums).reshape(len(counts), data.groups)
 
@@ -486,33 +491,34 @@ def candidates(
     small: Bool[np.ndarray, " n"],
     predicted_in: Bool[np.ndarray, " n"],
     annotated_in: Bool[np.ndarray, " m"],
+    block: Int[np.ndarray, " f"],
 ) -> Candidates:
-    """Pad what one part, measure and difficulty needs by frame."""
-    frames = len(data.group)
-    column, width = _places(data.predicted_frame, predicted_in, frames)
-    slot, depth = _places(data.annotated_frame, annotated_in, frames)
+    """Pad what one part, measure and difficulty needs by frame, of some frames in rising order."""
+    frames, row_of = len(block), np.full(len(data.group), -1)
+    row_of[block] = np.arange(frames)
+    predicted_in = predicted_in & (row_of[data.predicted_frame] >= 0)
+    annotated_in = annotated_in & (row_of[data.annotated_frame] >= 0)
+    must_find = must_find & annotated_in
+    predicted_frame, annotated_frame = row_of[data.predicted_frame], row_of[data.annotated_frame]
+    column, width = places_of_rows(predicted_frame, predicted_in, frames)
+    slot, depth = places_of_rows(annotated_frame, annotated_in, frames)
     pairs = np.flatnonzero(enough & annotated_in[data.pair[:, 0]] & predicted_in[data.pair[:, 1]])
     box, detection = data.pair[pairs].T
-    nth, choices = _places(box, np.ones(len(box), dtype=bool), len(data.annotated))
+    nth, choices = places_of_rows(box, np.ones(len(box), dtype=bool), len(data.annotated))
     choice = np.full((frames, depth, choices), -1)
-    overlap = np.zeros(choice.shape)
-    choice[data.annotated_frame[box], slot[box], nth] = column[detection]
-    overlap[data.annotated_frame[box], slot[box], nth] = data.overlap[measure][pairs]
+    overlap, similarity = np.zeros(choice.shape), np.zeros(choice.shape)
+    choice[annotated_frame[box], slot[box], nth] = column[detection]
+    overlap[annotated_frame[box], slot[box], nth] = data.overlap[measure][pairs]
+    similarity[annotated_frame[box], slot[box], nth] = data.similarity[pairs]
     counts = np.zeros((frames, depth), dtype=np.int64)
-    counts[data.annotated_frame[must_find], slot[must_find]] = 1
+    counts[annotated_frame[must_find], slot[must_find]] = 1
     padded = {}
     score = np.zeros(0) if data.predicted.score is None else data.predicted.score
-    for name, values, empty in (("score", score, -np.inf), ("small", small, False), ("harmless", data.harmless, False)):
+    for name, values, empty in (
+        ("score", score, -np.inf),
+        ("small", small, False),
+        ("harmless", data.harmless[measure], False),
+    ):
         padded[name] = np.full((frames, width), empty)
-        padded[name][data.predicted_frame[predicted_in], column[predicted_in]] = values[predicted_in]
-    return Candidates(choice=choice, overlap=overlap, counts=counts, **padded)
-
-
-def _places(
-    owner: Int[np.ndarray, " n"], keep: Bool[np.ndarray, " n"], owners: int
-) -> tuple[Int[np.ndarray, " n"], int]:
-    """Place of each kept row among those of its owner (rows are sorted by owner), and the largest number of rows."""
-    count = np.bincount(owner[keep], minlength=owners)
-    index = np.zeros(len(owner), dtype=np.int64)
-    index[keep] = np.arange(int(keep.sum())) - np.repeat(np.cumsum(count) - count, count)
-    return index, max(int(count.max(initial=0)), 1)
+        padded[name][predicted_frame[predicted_in], column[predicted_in]] = values[predicted_in]
+    return Candidates(choice=choice, overlap=overlap, similarity=similarity, counts=counts, **padded)

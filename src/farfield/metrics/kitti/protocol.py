@@ -51,7 +51,7 @@ class KittiPresenter(Presenter):
     def curves(self, result: Mapping[str, Any]) -> list[CurvePanel]:
         """A panel for each overlap, in space first."""
         curves = (result.get("curves") or {}).get("overall") or {}
-        named = {_MEASURES.get(name, name): curves[name] for name in sorted(curves)}
+        named = {_MEASURES.get(name, name): curves[name] for name in sorted(curves, key=_measure_rank)}
         return [CurvePanel(panel.title, tuple(sorted(panel.lines, key=_line_rank))) for panel in panels(named)]
 
 
@@ -96,7 +96,7 @@ class KittiProtocol(Protocol):
         )
 
     def headline(self, result: Mapping[str, Any]) -> Mapping[str, float | None]:
-        """AP over 40 recalls: in space before from above, moderate before the other difficulties."""
+        """AP over 40 recalls: in space before from above and in the image, moderate before the other difficulties."""
         names = [name for name in figure_names(result) if "_r40/" in name]
         return {name: value_at(result, name) for name in sorted(names, key=_rank)}
 
@@ -163,14 +163,15 @@ _NO_OCCLUSION = (
     "alone, so that hidden boxes count, which KITTI's own figures leave out"
 )
 _FACT_WORDS = {"box_px": "2D box in the image (0 0 0 0 or -1 -1 -1 -1)", "occlusion": "known occlusion (3)"}
-_MEASURES = {"3d": "AP3D", "bev": "APBEV"}
+_MEASURES = {"3d": "AP3D", "bev": "APBEV", "2d": "AP2D", "aos": "AOS"}
 _ORDER = ("moderate", "easy", "hard", "all")
 _GLOSSARY = (
     (
         "Overlap",
         "The intersection of two boxes over their union (IoU): 1 for equal boxes, 0 for boxes apart.",
     ),
-    ("AP3D, APBEV", "Average precision of boxes that overlap in space, or seen from above."),
+    ("AP3D, APBEV, AP2D", "Average precision of boxes that overlap in space, seen from above, or in the image."),
+    ("AOS", "AP2D in which a match counts by how well it faces: 1 for the right heading, 0 for the opposite one."),
     ("R40, R11", "At how many recalls precision is averaged: at 1/40 ... 1, or at 0, 0.1 ... 1."),
     (
         "Difficulty",
@@ -180,17 +181,24 @@ _GLOSSARY = (
 )
 
 
-def _rank(name: str) -> tuple[bool, int]:
+def _rank(name: str) -> tuple[int, int]:
     difficulty = name.rpartition("/")[2]
-    return "bev" in name, _ORDER.index(difficulty) if difficulty in _ORDER else len(_ORDER)
+    measure = name.removeprefix("ap/").partition("_")[0]
+    return [*_MEASURES].index(measure) if measure in _MEASURES else 0, _ORDER.index(
+        difficulty
+    ) if difficulty in _ORDER else len(_ORDER)
 
 
-def _line_rank(line: CurveLine) -> tuple[bool, int]:
+def _measure_rank(measure: str) -> int:
+    return [*_MEASURES].index(measure) if measure in _MEASURES else len(_MEASURES)
+
+
+def _line_rank(line: CurveLine) -> tuple[int, int]:
     return _rank(f"/{line.name}")
 
 
 def facts_of(annotation: Annotation) -> dict[str, Any]:
     """What KITTI's measure takes of an annotation besides boxes: its 2D facts and the DontCare regions."""
-    columns = {name: annotation.details[name] for name in FACTS if name in annotation.details}
+    columns = {name: annotation.details[name] for name in (*FACTS, "alpha_rad") if name in annotation.details}
     regions = {name: annotation.unboxed[name] for name in ("dontcare_px",) if name in annotation.unboxed}
     return columns | regions

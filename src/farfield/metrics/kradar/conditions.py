@@ -9,7 +9,7 @@ from farfield.errors import ConfigError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.description import read_description
 from farfield.frame.drive import Key
-from farfield.vocabulary.conditions import CONDITIONS, condition_name
+from farfield.vocabulary.conditions import CONDITIONS, condition_name, fits_kind
 from farfield.vocabulary.kradar import DESCRIPTION_ORDER, DESCRIPTIONS, published_conditions
 
 PUBLISHED = "published"
@@ -74,6 +74,11 @@ def _table(path: Path) -> dict[str, dict[str, str]]:
                 expected = "four filled cells, each sequence once"
                 raise FileFormatError(path, where=f"line {rows.line_num}", expected=expected, got=repr(row)[:100])
             conditions[name] = {kind: condition_name(word) for kind, word in cells.items()}
+            strange = [kind for kind, word in conditions[name].items() if not fits_kind(word, kind)]
+            if strange:
+                expected = f"a word for {strange[0]}, which is none of another kind"
+                actual = repr(cells[strange[0]])[:100]
+                raise FileFormatError(path, where=f"line {rows.line_num}", expected=expected, got=actual)
     except csv.Error as error:
         raise FileFormatError(
             path, where=f"line {rows.line_num}", expected="comma-separated text", got=str(error)

@@ -28,6 +28,7 @@ from farfield.metrics.kradar.settings import KRadarSettings
 from farfield.metrics.recall_sampling import ThresholdCounts, sample_thresholds
 from farfield.metrics.result import Result, nest, table
 from farfield.vocabulary.conditions import CONDITIONS, condition_name
+from farfield.vocabulary.counts import count_of
 
 MEASURES = ("3d", "bev")
 _VISIBILITY = {"R": "seen by the radar", "L": "seen by the LiDAR alone", "L1": "visibility not known"}
@@ -52,8 +53,8 @@ class KRadarResult(Result):
     def __str__(self) -> str:
         tables = "\n\n".join(self._table(label) for label in self.settings["classes"])
         cut = self.counts["predictions_cut"]
-        note = f"{cut} predictions at or below the score cut are left out" if cut else ""
-        frames = f"{self.counts['frames']} of {self.counts['frames_given']} frames count"
+        note = f"{count_of(cut, 'prediction')} at or below the score cut are left out" if cut else ""
+        frames = f"{self.counts['frames']} of {count_of(self.counts['frames_given'], 'frame')} count"
         return f"{tables}\n\n{frames}; {note or 'no prediction is cut'}\n{self.footer()}"
 
     def to_json(self) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,10 +19,11 @@ from farfield.metrics.frames import (
     frame_order,
     group_frames,
     has_label,
+    near_pairs,
     nearest_first,
-    same_owner,
 )
 from farfield.metrics.kradar.settings import KRadarSettings
+from farfield.vocabulary.counts import count_of
 
 Visibility = Mapping[Key, Sequence[str]]
 
@@ -122,7 +124,14 @@ def gather_kradar(
     if settings.empty_frames == "dropped":
         counted = np.bincount(annotated.frame, minlength=len(keys)) > 0
         predicted = predicted[counted[predicted.frame]]
-    pair = _pairs(annotated, predicted, len(keys) * len(settings.classes), len(settings.classes))
+    classes = len(settings.classes)
+    pair, _ = near_pairs(
+        annotated.frame * classes + annotated.kind,
+        predicted.frame * classes + predicted.kind,
+        len(keys) * classes,
+        partial(_nearness, annotated.box, predicted.box),
+        lambda owner: keys[owner // classes],
+    )
     group, grouped_by = group_frames(keys, drives)
     return KRadarFrames(
         keys=keys,
@@ -192,16 +201,13 @@ def _written(box: Float[np.ndarray, "n 7"], settings: KRadarSettings) -> Float[n
     return written
 
 
-def _pairs(annotated: ScoredBoxes, predicted: ScoredBoxes, owners: int, classes: int) -> Int[np.ndarray, "p 2"]:
-    """Pairs (annotated, predicted) of a frame and class whose circumscribed circles meet, in the boxes' order."""
-    box, detection = same_owner(
-        annotated.frame * classes + annotated.kind, predicted.frame * classes + predicted.kind, owners
-    )
-    a, b = annotated.box, predicted.box
-    gap_m = a[box, :2] - b[detection, :2]
-    reach_m = (np.hypot(a[:, 3], a[:, 4])[box] + np.hypot(b[:, 3], b[:, 4])[detection]) / 2
-    near = (gap_m**2).sum(axis=1) < (reach_m + 0.1) ** 2  # rounding may bring boxes closer by a centimetre
-    return np.column_stack([box[near], detection[near]])
+def _nearness(
+    annotated: Float[np.ndarray, "n 7"], predicted: Float[np.ndarray, "m 7"], pair: Int[np.ndarray, "p 2"]
+) -> Float[np.ndarray, " p"]:
+    """By how much the circumscribed circles of each pair meet, squared metres; rounding may bring boxes 1 cm closer."""
+    a, b = annotated[pair[:, 0]], predicted[pair[:, 1]]
+    reach_m = (np.hypot(a[:, 3], a[:, 4]) + np.hypot(b[:, 3], b[:, 4])) / 2
+    return (reach_m + 0.1) ** 2 - ((a[:, :2] - b[:, :2]) ** 2).sum(axis=1)
 
 
 def _overlaps(
@@ -238,6 +244,9 @@ def _seen_by(keys: list[Key], boxes: list[Boxes], visibility: Visibility | None)
     for key, part in zip(keys, boxes, strict=True):
         visible = visibility.get(key, ("",) * len(part))
         if len(visible) != len(part):
-            raise ConfigError(f"visibility[{key}]: expected one word for each of {len(part)} boxes, got {len(visible)}")
+            raise ConfigError(
+                f"visibility[{key}]: expected one word for each of "
+                f"{count_of(len(part), 'box', 'boxes')}, got {len(visible)}"
+            )
         names.extend(visible)
     return np.array(names, dtype=np.str_)

@@ -9,6 +9,7 @@ any set of frames, are then the sum of the gains above it.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -68,7 +69,10 @@ def gains(
     is_assigned, chosen = crowd.allowing_all()
     is_true[chosen] = is_assigned
     for first, last in crowd.chunks():
-        taken_true, taken_excused = crowd.allowing_prefixes(first, last)
+        unit = int(crowd.unit[first])
+        taken_true, taken_excused = (
+            crowd.joining_one_by_one(unit) if crowd.is_large[unit] else crowd.allowing_prefixes(first, last)
+        )
         crowd.true[first:last], crowd.excused[first:last] = taken_true, taken_excused
     leads = np.zeros(len(crowd.detection), dtype=bool)
     leads[crowd.start] = True
@@ -136,14 +140,29 @@ class _ContestedPairs:
             excused=np.zeros(len(ranked), dtype=np.int64),
         )
 
+    @cached_property
+    def pairs(self) -> Int[np.ndarray, " u"]:
+        """Pairs of each frame."""
+        return np.bincount(self.pair_unit, minlength=len(self.size))
+
+    @cached_property
+    def is_large(self) -> Bool[np.ndarray, " u"]:
+        """Frames whose prefixes are so many, of so many pairs, that one after the other is quicker."""
+        return self.size * (self.size + self.pairs) > _ROWS_AT_ONCE
+
     def chunks(self) -> Iterator[tuple[int, int]]:
-        """Ranges of prefixes whose tables stay small."""
-        pairs = np.bincount(self.pair_unit, minlength=len(self.size))
-        rows = np.cumsum((self.size + pairs)[self.unit])
+        """Ranges of prefixes whose tables stay small; a large frame is one of them."""
+        rows = np.cumsum((self.size + self.pairs)[self.unit])
         first = 0
         while first < len(rows):
+            unit = int(self.unit[first])
             before = rows[first - 1] if first else 0
             last = max(int(np.searchsorted(rows, before + _ROWS_AT_ONCE, side="right")), first + 1)
+            large = np.flatnonzero(self.is_large[self.unit[first:last]])
+            if self.is_large[unit]:
+                last = int(self.start[unit] + self.size[unit])
+            elif len(large):
+                last = first + int(large[0])
             yield first, last
             first = last
 
@@ -171,6 +190,41 @@ class _ContestedPairs:
         optional = self.pair_optional[chosen]
         counted = [np.bincount(where[mask] - first, minlength=last - first) for mask in (~optional, optional)]
         return counted[0], counted[1]
+
+    def joining_one_by_one(self, unit: int) -> tuple[Int[np.ndarray, " i"], Int[np.ndarray, " i"]]:
+        """What :meth:`allowing_prefixes` gives for all prefixes of one frame, one prediction after the other.
+
+        A prediction that joins is offered to the boxes in their order. The first that prefers it to its own takes it,
+        and what it held is offered to the boxes after it; where a box held none, one more is found.
+        """
+        rows = np.flatnonzero(self.pair_unit == unit)
+        rank, box = self.pair_place[rows] - self.start[unit], self.pair_box[rows]
+        liking = np.empty(len(rows), dtype=np.int64)  # of the pairs, the least is preferred
+        liking[np.lexsort((self.file_order[self.pair_place[rows]], -self.pair_overlap[rows]))] = np.arange(len(rows))
+        optional = np.zeros(int(box.max()) + 1, dtype=bool)
+        optional[box] = self.pair_optional[rows]
+        order = np.lexsort((box, rank))
+        edges = np.searchsorted(rank[order], np.arange(int(self.size[unit]) + 1))
+        box, liking = box[order], liking[order]
+        held, held_liking = np.full(len(optional), -1), np.full(len(optional), len(rows))
+        counts = np.zeros((2, int(self.size[unit])), dtype=np.int64)
+        for joining in range(int(self.size[unit])):
+            offered, first = joining, int(edges[joining])
+            while True:
+                part = slice(first, int(edges[offered + 1]))
+                prefers = liking[part] < held_liking[box[part]]
+                if not prefers.any():
+                    break
+                row = first + int(prefers.argmax())
+                taker, released = int(box[row]), int(held[box[row]])
+                held[taker], held_liking[taker] = offered, liking[row]
+                if released < 0:
+                    counts[int(optional[taker]), joining] += 1
+                    break
+                offered = released
+                start, stop = int(edges[offered]), int(edges[offered + 1])
+                first = start + int(np.searchsorted(box[start:stop], taker, side="right"))
+        return counts.cumsum(axis=1)[0], counts.cumsum(axis=1)[1]
 
     def _choose(
         self,

@@ -15,6 +15,7 @@ from farfield.metrics.options import option_text
 from farfield.metrics.presenting import CurvePanel, HitRule, Presentation, Presenter, curve_level, panels
 from farfield.metrics.result import figure_names
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR, CIRRUS_FROM_KRADAR
+from farfield.vocabulary.counts import count_of
 
 _FIRST = ("label_version", "region", "azimuth_deg", "score_cut", "recall_points", "empty_frames", "yaw")
 _UNSAID = ("relabel", "origin_m")
@@ -141,7 +142,8 @@ class KRadarProtocol(Protocol):
         ]
         if visibility and lacking:
             notes.append(
-                f"{len(lacking)} of {len(detections.annotations)} annotated frames do not say which sensor sees their "
+                f"{len(lacking)} of {count_of(len(detections.annotations), 'annotated frame')} "
+                "do not say which sensor sees their "
                 f"boxes (the first: {' '.join(lacking[0])}); in the figures by visibility these may be found or not"
             )
         if settings.label_version != self.fixed.get("label_version", settings.label_version):

@@ -16,6 +16,7 @@ others are assigned; a switch over a gap counts; MOTAR is of the measured recall
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -26,7 +27,7 @@ from farfield.errors import ConfigError
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.metrics.detections import Detections, Protocol
-from farfield.metrics.frames import check_frames, flatten, frame_order, has_label, same_owner
+from farfield.metrics.frames import check_frames, flatten, frame_order, has_label, near_pairs
 from farfield.metrics.options import check_range_bins, json_options
 from farfield.metrics.presenting import Presenter
 from farfield.metrics.result import Result, table, value_at
@@ -162,10 +163,20 @@ def gather_pairs(detections: Detections, settings: NuScenesTrackingSettings) -> 
     times = _times(detections, keys)
     annotated = _class_boxes(detections, keys, annotations, times, settings, what="annotations")
     predicted = _class_boxes(detections, keys, predictions, times, settings, what="predictions")
-    a, b = same_owner(annotated.frame, predicted.frame, len(keys))
-    gap_m = np.hypot(*(annotated.centre_m[a] - predicted.centre_m[b]).T)
-    near = gap_m < settings.distance_m
-    return MatchablePairs(annotated, predicted, np.column_stack([a[near], b[near]]), gap_m[near])
+    measure = partial(_nearness, annotated, predicted, settings.distance_m)
+    pair, _ = near_pairs(annotated.frame, predicted.frame, len(keys), measure, keys.__getitem__)
+    return MatchablePairs(annotated, predicted, pair, _gap_m(annotated, predicted, pair))
+
+
+def _gap_m(annotated: "ClassBoxes", predicted: "ClassBoxes", pair: Int[np.ndarray, "p 2"]) -> Float[np.ndarray, " p"]:
+    return np.hypot(*(annotated.centre_m[pair[:, 0]] - predicted.centre_m[pair[:, 1]]).T)
+
+
+def _nearness(
+    annotated: "ClassBoxes", predicted: "ClassBoxes", distance_m: float, pair: Int[np.ndarray, "p 2"]
+) -> Float[np.ndarray, " p"]:
+    """By how much the centres of each pair are nearer than a distance, metres."""
+    return distance_m - _gap_m(annotated, predicted, pair)
 
 
 def _times(detections: Detections, keys: list[Key]) -> Int[np.ndarray, " frames"]:

@@ -6,6 +6,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -16,9 +17,9 @@ from scipy.optimize import linear_sum_assignment
 from farfield.errors import ConfigError
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
-from farfield.geometry.iou import paired_iou
+from farfield.geometry.iou import iou_of_pairs
 from farfield.metrics.detections import Detections
-from farfield.metrics.frames import check_frames, flatten, frame_order, has_label, same_owner
+from farfield.metrics.frames import check_frames, flatten, frame_order, has_label, near_pairs
 from farfield.metrics.kitti.evaluation import NEIGHBOURS, Details, detail_column, in_dontcare
 from farfield.metrics.options import check_range_bins
 
@@ -151,14 +152,13 @@ def gather(detections: Detections, settings: TrackingSettings) -> TrackingScene:
     rows = collect_rows(keys, frame_annotations, annotated, used, ~is_label | ignored, what="annotations")
     tracks = collect_rows(keys, frame_predictions, predicted, scored, harmless, what="predictions")
     annotated, predicted = annotated[used], predicted[scored]
-    pair = np.column_stack(same_owner(rows.frame, tracks.frame, len(keys)))
-    similarity = _similarity(annotated, predicted, pair, settings)
-    alike = similarity > 0
+    measure = partial(_similarity, annotated, predicted, settings)
+    pair, similarity = near_pairs(rows.frame, tracks.frame, len(keys), measure, keys.__getitem__)
     scene = TrackingScene(
         annotated=rows,
         predicted=tracks,
-        pair=pair[alike],
-        similarity=similarity[alike],
+        pair=pair,
+        similarity=similarity,
         notes=(*facts_note, *notes),
     )
     if settings.least_track_score is None:
@@ -210,13 +210,12 @@ def collect_rows(
 
 
 def _similarity(
-    annotated: Boxes, predicted: Boxes, pair: Int[np.ndarray, "p 2"], settings: TrackingSettings
+    annotated: Boxes, predicted: Boxes, settings: TrackingSettings, pair: Int[np.ndarray, "p 2"]
 ) -> Float[np.ndarray, " p"]:
-    a, b = annotated[pair[:, 0]], predicted[pair[:, 1]]
     if settings.similarity == "centre":
-        gap_m = np.hypot(*(a.centre_m - b.centre_m)[:, :2].T)
+        gap_m = np.hypot(*(annotated.centre_m[pair[:, 0]] - predicted.centre_m[pair[:, 1]])[:, :2].T)
         return np.maximum(1 - gap_m / settings.distance_m, 0.0)
-    return paired_iou(a, b, kind=settings.similarity)
+    return iou_of_pairs(annotated, predicted, pair, kind=settings.similarity)
 
 
 def _ignored(

@@ -1,0 +1,1 @@
+"""Waymo's detection metrics: AP and APH by level and range, and the longitudinal error tolerant LET-3D-AP."""
