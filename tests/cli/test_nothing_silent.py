@@ -174,7 +174,7 @@ class TestPlaces:
         (folder / "labels.csv").write_text("frame,label,x,y,z,l,w,h,yaw_rad\n000,vehicle,9,0,-1,4,2,1.5,0\n")
         before = sorted(path.name for path in folder.iterdir())
         data: Dataset = open_dataset(folder)
-        with pytest.raises(ConfigError, match="over"):
+        with pytest.raises(ConfigError, match="which is read"):
             convert(data, folder / name, to=to)  # type: ignore[arg-type]
         assert sorted(path.name for path in folder.iterdir()) == before
 
@@ -185,7 +185,7 @@ class TestPlaces:
         (folder / "labels.csv").write_text(text)
         assert main(["predict", "pointpillars-cirrus-sim", str(folder), "--out", str(folder / "labels.csv")]) == 1
         assert (folder / "labels.csv").read_text() == text
-        assert "over" in capsys.readouterr().err
+        assert "which is read" in capsys.readouterr().err
 
     def test_track_leaves_the_detections(self, tmp_path: Path) -> None:
         path = tmp_path / "a.csv"

@@ -119,6 +119,38 @@ def test_what_a_reader_assumed_is_a_note_and_what_it_left_out_a_warning(
     assert "--tracklets" in error
 
 
+@pytest.fixture
+def half_calibrated(tmp_path: Path) -> Path:
+    """A folder whose calibration cannot be used."""
+    np.save(tmp_path / "a.npy", np.ones((5, 4), np.float32))
+    (tmp_path / "calibration.yaml").write_text("something: else\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("verb", [("view",), ("annotate",), ("calibrate", "lidar-camera")], ids=lambda verb: verb[0])
+def test_the_studios_verbs_tell_what_a_reader_left_out(
+    half_calibrated: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, verb: tuple[str, ...]
+) -> None:
+    run = pytest.importorskip("farfield.studio.serving.run")
+    monkeypatch.setattr(run, "serve", lambda opening, *_, **__: len(opening()) - 1)
+    page = ["--page"] if verb[0] == "calibrate" else []
+    assert main([*verb, str(half_calibrated), *page, "--no-browser"]) == 0
+    assert "warning: " in capsys.readouterr().err
+
+
+def test_the_page_shows_what_a_reader_left_out(half_calibrated: Path, tmp_path: Path) -> None:
+    pytest.importorskip("starlette")
+    out = tmp_path / "page.html"
+    assert main(["view", str(half_calibrated), "--html", str(out)]) == 0
+    assert "no camera is calibrated" in out.read_text("utf-8")
+
+
+@pytest.mark.parametrize("verb", ["view", "annotate"])
+def test_a_flag_for_the_frames_that_ship_is_refused(capsys: pytest.CaptureFixture[str], verb: str) -> None:
+    assert main([verb, "--columns", "5", "--no-browser"]) == 1
+    assert "--columns: expected a data set" in capsys.readouterr().err
+
+
 def test_a_mapping_beside_the_data_that_is_none_is_not_ignored(lidar_axes: Path) -> None:
     from farfield.errors import ConfigError
 

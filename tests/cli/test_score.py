@@ -120,7 +120,7 @@ def test_predictions_in_frames_without_labels_are_false(tmp_path: Path) -> None:
     tree = run(tmp_path, tmp_path / "p.txt", tmp_path / "l.txt", "--format", "kitti-tracking")
     assert tree["counts"]["frames"] == 2
     assert tree["ap"]["2.0"] < 1.0
-    assert "1 frames have predictions but no line of labels" in tree["notes"][0]
+    assert "1 frame has predictions but no line of labels" in tree["notes"][0]
 
 
 def test_the_camera_axes_are_turned(tmp_path: Path) -> None:

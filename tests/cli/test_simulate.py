@@ -155,44 +155,6 @@ def test_killed_at_any_moment_leaves_whole_frames_and_goes_on(written: Path, tmp
     assert contents(out) == {name: data for name, data in contents(written).items() if ".farfield_cache" not in name}
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
-def test_a_command_leaves_the_unfinished_frame_of_another_alone(tmp_path: Path) -> None:
-    from farfield.jobs.folders import locked, sweep_out
-
-    (tmp_path / ".unfinished-1").mkdir()
-    code = f"""
-import sys, pathlib
-from farfield.jobs.folders import locked
-with locked(pathlib.Path({str(tmp_path)!r}), shared=True):
-    print("held", flush=True)
-    sys.stdin.read()
-"""
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == "held\n"
-        with locked(tmp_path, shared=True):  # two commands write frames side by side
-            sweep_out(tmp_path)
-        assert len(list(tmp_path.iterdir())) == 1
-        other.kill()
-    sweep_out(tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no file locks")
-def test_a_file_system_without_locks_is_swept_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from farfield.jobs import folders
-
-    def refuse(*_: object) -> None:
-        raise OSError(errno.EBADF, "as NFS says of an exclusive lock on a folder")
-
-    monkeypatch.setattr(folders.fcntl, "flock", refuse)
-    (tmp_path / ".unfinished-1").mkdir()
-    folders.sweep_out(tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_disk_that_fills_up_stops_the_work_and_loses_nothing(
     written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:

@@ -114,9 +114,9 @@ def test_the_doctor_counts_defects_and_damage(tmp_path):
     (folder / "00034_00002.txt").write_text("nonsense")
     (folder / "00099_00003.txt").write_text((folder / "00035_00003.txt").read_text())
     found = findings(root, "label defects")
-    assert ("ok", "1 files whose header and first object share a line; read as they are meant") in found
-    assert ("ok", "1 files with an availability such as LL, LR or l; read as they are meant") in found
-    assert ("warn", "1 frames whose radar and LiDAR indices differ from the file's name") in found
+    assert ("ok", "1 file whose header and first object share a line; read as they are meant") in found
+    assert ("ok", "1 file with an availability such as LL, LR or l; read as they are meant") in found
+    assert ("warn", "1 frame whose radar and LiDAR indices differ from the file's name") in found
     assert findings(root, "frame difference") == [("warn", "the frames' names differ from it in sequence 1")]
     assert "00034_00002.txt" in findings(root, "damaged")[0][1]
 

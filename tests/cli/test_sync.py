@@ -66,6 +66,26 @@ def test_lists_become_a_table_a_json_and_a_page(rig: Path, capsys: pytest.Captur
     assert (rig.parent / "out" / "matches.csv").read_bytes() == before
 
 
+def test_the_sign_of_an_offset_is_one_in_the_table_the_words_and_the_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    for name, later_ns in (("lidar", 0), ("camera", 4_000_000), ("radar", -7_000_000)):
+        np.savetxt(folder / f"{name}.txt", START + later_ns + np.arange(60) * 100_000_000, fmt="%d")
+    recording = run(folder, "--to", "lidar")
+    assert [recording["pairs"][name]["clock"]["offset_ns"] for name in ("camera", "radar")] == [4e6, -7e6]
+    rows = read_match_table(tmp_path / "out" / "matches.csv")
+    assert (rows["camera_later_ns"][5], rows["radar_later_ns"][5]) == ("4000000", "-7000000")
+    printed = capsys.readouterr().out
+    assert "camera: 60 matched, 4.000 ms later than lidar" in printed
+    assert "radar: 60 matched, 7.000 ms earlier than lidar" in printed
+    page = (tmp_path / "out" / "sync.html").read_text()
+    assert "+4.000" in page
+    assert "-7.000" in page
+    assert "+ says that the stream's stamps are later than those of lidar" in page
+
+
 def test_the_reference_is_chosen_and_said(rig: Path) -> None:
     assert run(rig)["reference"] == "lidar"
 

@@ -84,17 +84,17 @@ def test_options_by_name_and_tracks_joined_afterwards(tmp_path: Path, capsys: py
     found.write_text("\n".join(lines) + "\n")
     for extra, said in (
         ([], "default, online: 2 tracks"),
-        (["--join-s", "5"], "default, offline (joined): 1 tracks"),
+        (["--join-s", "5"], "default, offline (joined): 1 track"),
         (["--join-s", "1"], "default, offline (joined): 2 tracks"),
-        (["--preset", "annotated", "--join-s", "30"], "annotated, offline (joined): 1 tracks"),
-        (["-o", "max_age_s=3", "-o", "gate=4"], "default, online: 1 tracks"),
+        (["--preset", "annotated", "--join-s", "30"], "annotated, offline (joined): 1 track"),
+        (["-o", "max_age_s=3", "-o", "gate=4"], "default, online: 1 track"),
     ):
         assert cli.main(["track", str(found), "--out", str(out), *extra]) == 0
         assert said in capsys.readouterr().out
     longer = tmp_path / "longer.csv"
     longer.write_text("\n".join([*lines[:21], *(line.replace(",0,0,4,", ",0,0,4.2,") for line in lines[21:])]) + "\n")
     for extra, said in (
-        (["--join-s", "5"], "default, offline (joined): 1 tracks"),
+        (["--join-s", "5"], "default, offline (joined): 1 track"),
         (["--preset", "annotated", "--join-s", "30"], "annotated, offline (joined): 2 tracks"),
     ):
         assert cli.main(["track", str(longer), "--out", str(out), *extra]) == 0

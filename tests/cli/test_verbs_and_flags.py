@@ -10,6 +10,7 @@ READS_ONLY = "writes nothing unless --json or --out names a file"
 
 NO_DRY_RUN = {
     "doctor": READS_ONLY,
+    "formats": READS_ONLY,
     "detectors": READS_ONLY,
     "experiments": READS_ONLY,
     "compare-results": READS_ONLY,
@@ -29,6 +30,7 @@ NO_OUT = {
     "doctor": "--json is all it writes",
     "score": "--json is all it writes",
     "detectors": "--json is all it writes",
+    "formats": "--json is all it writes",
     "experiments": "prints",
     "compare-results": "prints",
     "view": "writes nothing",

@@ -13,7 +13,7 @@ import pytest
 from farfield.errors import ConfigError, FileFormatError
 from farfield.jobs import ENGINES, HERE, BulkError, JobJournal, JobOptions, Unit, run, values
 from farfield.jobs.local import LocalEngine
-from farfield.jobs.process import VARIABLES, ended_by_sigterm, one_thread
+from farfield.jobs.process import VARIABLES, ended_by_signals, one_thread, pythons_interrupt
 from farfield.jobs.runs import available_bytes, fitting
 from jobs import works
 
@@ -209,7 +209,7 @@ class Swallows:
 
 
 def counted_under_a_lost_signal(done: list[int]) -> None:
-    with ended_by_sigterm():
+    with ended_by_signals():
         for result in values(works.square, UNITS):
             done.append(result.value)
             if len(done) == 3:
@@ -223,3 +223,32 @@ def test_a_signal_whose_exit_was_lost_ends_the_work_after_the_unit() -> None:
         counted_under_a_lost_signal(done)
     assert ended.value.code == 143
     assert len(done) == 3
+
+
+def interrupted_in_a_library(number: int) -> None:
+    """Libraries replace what a signal raises in their code by an error of their own."""
+    with ended_by_signals():
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(0.01)
+        except BaseException:
+            raise ValueError("Invalid affine transformation matrix") from None
+
+
+@pytest.mark.parametrize(("number", "ending"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+def test_what_a_library_makes_of_a_signal_is_not_told(number: int, ending: type[BaseException]) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(ending):
+        interrupted_in_a_library(number)
+    assert signal.getsignal(number) is before
+    with pytest.raises(ValueError, match="a fault"), ended_by_signals():
+        raise ValueError("a fault")
+
+
+def test_asyncio_finds_the_handler_by_which_it_ends_its_tasks_in_order() -> None:
+    with ended_by_signals():
+        own = signal.getsignal(signal.SIGINT)
+        assert own is not signal.default_int_handler
+        with pythons_interrupt():
+            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        assert signal.getsignal(signal.SIGINT) is own

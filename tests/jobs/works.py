@@ -81,3 +81,15 @@ class Alone:
 
     def __call__(self, unit: Unit) -> UnitResult:
         return UnitResult(value=[unit.parameters, os.getpid()])
+
+
+def sources(folder: Path, count: int = 12) -> list[Unit]:
+    """Units, each of a file of words."""
+    folder.mkdir(exist_ok=True)
+    units = []
+    for number in range(count):
+        path = folder / f"{number:02d}.in"
+        if not path.exists():
+            path.write_text("word " * number)
+        units.append(Unit(f"{number:02d}", (path,), number))
+    return units

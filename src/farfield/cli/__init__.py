@@ -1,6 +1,7 @@
 """The ``farfield`` command: one file a verb. Only the chosen verb's module is imported."""
 
 import errno
+import io
 import os
 import sys
 import traceback
@@ -23,6 +24,7 @@ VERBS = {
     "new-dataset": "write an example of an own data set, to put your own files in its place",
     "simulate": "write a simulated data set in a real data set's layout",
     "convert": "write a data set in another layout, or as a fast binary cache",
+    "formats": "list the formats that are read and written: how certain, how to open",
     "detectors": "list the detectors with their size, speed and score",
     "experiments": "list the experiments that ship, or print one as YAML",
     "train": "train a detector: a shipped experiment or one YAML file; resumes by itself",
@@ -43,6 +45,12 @@ VERBS = {
     "report": "turn an evaluation into one self-contained HTML page",
 }
 
+
+RESUMING = frozenset(
+    {"demo", "simulate", "convert", "train", "adapt", "reproduce", "predict", "evaluate", "odometry", "anonymize"}
+    | {"depth", "report"}
+)
+"""Verbs that go on where they were stopped: they keep what is done in a journal or a checkpoint."""
 
 _VERBOSE = ("-v", "--verbose")
 
@@ -68,10 +76,36 @@ def overview() -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one verb and return the exit status: 0 done, 1 findings or failure, 2 wrong usage, 130 after Ctrl-C."""
+    """Run one verb and return the exit status: 0 done, 1 findings or failure, 2 wrong usage, 130 after Ctrl-C.
+
+    141 where nobody reads what it prints any more, as behind ``| head``.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     if sys.stdout is None:  # closed by the shell: `>&-`
         sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - until the process ends
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - until the process ends
+    for stream in (sys.stdout, sys.stderr):  # names of files need not be UTF-8, nor the terminal
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    verb = next((word for word in arguments if word in VERBS), "")
+    try:
+        try:
+            return _status(arguments)
+        finally:  # help too, after which tyro leaves by SystemExit
+            sys.stdout.flush()
+    except BrokenPipeError:
+        _forget_output()
+        return 141
+    except OSError as error:
+        message = _refused(error)
+        _forget_output()
+    _complain(f"{f'farfield {verb}'.strip()}: {message}")
+    return 1
+
+
+def _status(arguments: list[str]) -> int:
+    """Exit status of what the words ask for; refusals of the operating system are the caller's to say."""
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(overview(), end="")
         return 0 if arguments else 2
@@ -89,15 +123,14 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     verb, rest = arguments[0], arguments[1:]
     if verb not in VERBS:
-        print(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}", file=sys.stderr)
+        _complain(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}")
         return 2
-    from farfield.jobs.process import ended_by_sigterm
+    from farfield.files.outputs import of_command
+    from farfield.jobs.process import ended_by_signals, without_torch_folder
 
     try:
-        with ended_by_sigterm():
-            status = _run(import_module(f"farfield.cli.{verb.replace('-', '_')}").run, verb, rest)
-            sys.stdout.flush()
-            return status
+        with ended_by_signals(), without_torch_folder(), of_command(verb):
+            return _run(import_module(f"farfield.cli.{verb.replace('-', '_')}").run, verb, rest)
     except FarfieldError as error:
         if verbose:
             traceback.print_exc()
@@ -108,16 +141,28 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         message = str(missing)
     except KeyboardInterrupt:
-        print(f"farfield {verb}: interrupted", file=sys.stderr)
+        _complain(f"farfield {verb}: interrupted. {_again(verb)}")
         return 130
-    except BrokenPipeError:
-        _forget_output()
-        return 141
-    except OSError as error:
-        message = _refused(error)
-        _forget_output()
-    print(f"farfield {verb}: {message}", file=sys.stderr)
+    except SystemExit as ended:
+        if ended.code == _TERMINATED:
+            _complain(f"farfield {verb}: ended by SIGTERM. {_again(verb)}")
+        raise
+    _complain(f"farfield {verb}: {message}")
     return 1
+
+
+def _complain(text: str) -> None:
+    """Print on the error stream, if it takes it."""
+    with suppress(OSError, ValueError):
+        print(text, file=sys.stderr, flush=True)
+
+
+_TERMINATED = 128 + 15
+
+
+def _again(verb: str) -> str:
+    """How a verb that was stopped is gone on with."""
+    return f"Run the same command again{': it goes on where it stopped' if verb in RESUMING else ''}."
 
 
 def _forget_output() -> None:
@@ -133,6 +178,8 @@ def _refused(error: OSError) -> str:
     """What the operating system refused, in a sentence, and what may help."""
     path = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else None
     path = path.parent if path is not None and path.name.endswith(".part") else path  # of an atomic write
+    if error.errno == errno.EISDIR:
+        return f"{path}: expected a file, found a folder."
     what = error.strerror or str(error) or type(error).__name__
     helps = _HELPS.get(error.errno or 0, "")
     return f"{what if path is None else f'{path}: {what}'}.{helps}"
@@ -153,7 +200,7 @@ def _print_completion(words: list[str]) -> int:
     from farfield.cli._completion import SHELLS, script
 
     if len(words) != 1 or words[0] not in SHELLS:
-        print(f"farfield --completion: expected one of {', '.join(SHELLS)}, got {' '.join(words)!r}", file=sys.stderr)
+        _complain(f"farfield --completion: expected one of {', '.join(SHELLS)}, got {' '.join(words)!r}")
         return 2
     print(script(words[0], VERBS), end="")
     return 0

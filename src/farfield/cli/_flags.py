@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from farfield.cli._output import bar
-from farfield.errors import ConfigError, FarfieldError
+from farfield.errors import ConfigError
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -21,7 +21,7 @@ _UNNAMED = tyro.conf.arg(name="")
 """The fields of a group are flags without the group's name before them."""
 PointTimes = Literal["auto", "s", "ms", "us", "ns", "none"]  # as in farfield.files.point_times, which waits
 _UNSET = (None, (), "", "auto")
-_OPTION_OF = {"columns": "bin_columns"}
+_OPTION_OF = {"columns": "bin_columns", "tables": "version"}
 _OF_CLOUDS = ("bin_columns", "intensity_scale", "point_times", "radars")
 
 
@@ -39,8 +39,12 @@ class FileFlags:
         radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
         tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
             beside the file, the writer's marks and the points in the boxes unless given.
+        size_order: Order in which nuScenes, TruckScenes and T4 store sizes: wlh, as their schema says, unless given;
+            lwh of sets that store the length first.
+        tables: Folder of nuScenes' or TruckScenes' tables, such as v1.0-mini, where there are several.
         label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
-            LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre).
+            LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre). Of OpenPCDet's and
+            mmdetection3d's labels lidar or lidar-bottom; decided by the points in the boxes unless given.
     """
 
     mapping: Path | None = None
@@ -50,11 +54,18 @@ class FileFlags:
     radars: tuple[str, ...] = ()
     tracklets: Literal["kitti", "cvat", "datumaro"] | None = None
     label_axes: Literal["camera", "lidar", "lidar-bottom"] | None = None
+    size_order: Literal["wlh", "lwh"] | None = None
+    tables: str | None = None
 
     @property
     def options(self) -> dict[str, Any]:
         """What :func:`farfield.open_dataset` takes of the flags that are set."""
         return {_OPTION_OF.get(name, name): value for name, value in vars(self).items() if value not in _UNSET}
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Files and folders that the flags name, which are read."""
+        return () if self.mapping is None else (self.mapping,)
 
     @property
     def cloud_options(self) -> dict[str, Any]:
@@ -73,26 +84,20 @@ class FileFlags:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingFlags(FileFlags):
-    """How a data set's files are read.
+    """How a data set's files are read, K-Radar's among them; other flags as of :class:`FileFlags`.
 
     Args:
-        mapping: Mapping YAML of the classes of data in any format, classes: {Auto: vehicle}; or of a Cirrus copy that
-            deviates from the documented layout.
         labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
         roots: Further folders of a K-Radar that is spread over several disks.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
-        intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
-            given.
-        point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
-        radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
-        tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
-            beside the file, the writer's marks and the points in the boxes unless given.
-        label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
-            LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre).
     """
 
     labels: str | None = None
     roots: tuple[Path, ...] = ()
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Files and folders that the flags name, which are read."""
+        return (*super().paths, *self.roots)
 
     def open_both(self, paths: Sequence[Path], sides: "Sequence[ReadingFlags]") -> "list[Dataset]":
         """Open data sets that are set side by side: a flag that one reader does not know counts for the others.
@@ -104,7 +109,7 @@ class ReadingFlags(FileFlags):
         Raises:
             ConfigError: If no reader knows a flag.
         """
-        from farfield.datasets.formats import known_options
+        from farfield.datasets.opening import known_options
 
         known_by_path = [known_options(path, self.options) for path in paths]
         if any(all(name not in names for names in known_by_path) for name in self.options):
@@ -132,18 +137,9 @@ def _opened(path: Path, options: Mapping[str, Any]) -> "Dataset":
     from farfield.datasets import open_dataset
 
     data = open_dataset(path, **options)
-    for sentence in data.unwrapped.notes:
-        print(f"warning: {sentence}", file=sys.stderr)
-    for sentence in _assumptions(data):
-        print(f"note: {sentence}", file=sys.stderr)
+    for kind, sentence in data.remarks:
+        print(f"{kind}: {sentence}", file=sys.stderr)
     return data
-
-
-def _assumptions(data: "Dataset") -> tuple[str, ...]:
-    try:
-        return data.unwrapped.assumptions
-    except FarfieldError:  # a damaged file: what reads it names it
-        return ()
 
 
 @dataclass(frozen=True, kw_only=True)

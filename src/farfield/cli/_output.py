@@ -2,12 +2,14 @@
 
 import json
 import sys
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from farfield.datasets import Dataset
 
 T = TypeVar("T")
@@ -16,26 +18,64 @@ OUTPUT = Path("-")
 """What ``--json -`` names: the output instead of a file."""
 
 
+def check_outputs(
+    inputs: Iterable[Path | str | None],
+    *,
+    files: Mapping[str, Path | None] | None = None,
+    folders: Mapping[str, Path | None] | None = None,
+    apart: bool = False,
+) -> None:
+    """Look at what a verb is going to write, as :func:`farfield.files.outputs.check_outputs` does, before it works.
+
+    Args:
+        inputs: Files and folders that are read; names of nothing count as none.
+        files: Files by the flags that name them; ``-`` is the output and none.
+        folders: Folders by the flags that name them.
+        apart: Whether folders must stand beside those that are read.
+    """
+    from farfield.files import outputs
+
+    named = {flag: path for flag, path in (files or {}).items() if path != OUTPUT}
+    weights = [(source, Path(source) / "weights.safetensors") for source in inputs if source is not None]
+    inputs = [own if own.is_file() else source for source, own in weights]  # of a run the weights alone are read
+    outputs.check_outputs(inputs, files=named, folders=folders, apart=apart)
+
+
 def write_json(path: Path, tree: Any) -> None:
     """Write JSON into a file, all or nothing, or onto the output for ``-``."""
     from farfield.files.atomic import write_text
+    from farfield.jobs.folders import held
 
     text = json.dumps(tree, indent=1) + "\n"
     if path == OUTPUT:
         sys.stdout.write(text)
     else:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, text)
+        with held(path, file=True):
+            write_text(path, text)
 
 
-def read_json(path: Path) -> Any:
-    """What one of our own JSON files holds."""
-    return json.loads(path.read_text(encoding="utf-8"))
+def console(*, stderr: bool = False, width: int | None = None) -> "Console":
+    """The one way to print tables and long lines: names of files, classes and sequences are no markup and no emoji.
+
+    Args:
+        stderr: Print on the error stream.
+        width: Columns where the output is no terminal; as the surroundings say unless given.
+    """
+    from rich.console import Console
+
+    stream = sys.stderr if stderr else sys.stdout
+    own = width if stream is None or not stream.isatty() else None
+    made = Console(stderr=stderr, width=own, markup=False, emoji=False, highlight=False)
+    made.on_broken_pipe = _raise_again  # type: ignore[method-assign]  # rich would end the process with status 1
+    return made
+
+
+def _raise_again() -> None:
+    raise
 
 
 def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T]:
     """Iterate with a progress bar named ``what``, which goes away at the end if it is transient."""
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -46,8 +86,14 @@ def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T
     )
 
     listed = items if isinstance(items, Sized) else list(items)
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=transient) as progress:
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console(stderr=True), transient=transient) as progress:
         yield from progress.track(listed, total=len(listed), description=what)
 
 

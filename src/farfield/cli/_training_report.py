@@ -7,7 +7,9 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from farfield.cli._output import bar
 from farfield.training.report import TrainingReport
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -31,20 +33,18 @@ class LineReport(TrainingReport):
 
     def reading(self, numbers: Iterable[int], what: str) -> Iterable[int]:
         """With a progress bar."""
-        from rich.progress import track
-
-        return track(list(numbers), what, console=self.console)
+        return bar(numbers, what)
 
     def say(self, text: str) -> None:
         """Print it."""
-        self.console.print(text, soft_wrap=True, highlight=False)
+        self.console.print(text, soft_wrap=True)
 
     def on_train_start(self, step: int, steps: int) -> None:
         """Start the clock; a run that goes on says so."""
         self.steps, self.started = steps, time.monotonic()
         self.recent.clear()
         if step >= steps:
-            self.say(f"all {steps} steps are done")
+            self.say(f"all {count_of(steps, 'step is', 'steps are')} done")
         elif step:
             self.say(f"resumes after step {step} of {steps} ({self.folder / 'checkpoint.pt'})")
 
@@ -99,7 +99,7 @@ class BarReport(LineReport):
             TextColumn("training"),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[status]}"),
+            TextColumn("{task.fields[status]}", markup=False),
             TimeElapsedColumn(),
             TimeRemainingColumn(elapsed_when_finished=True),
         )

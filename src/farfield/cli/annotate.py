@@ -8,6 +8,7 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import AS_THEY_ARE, Reading, names
+from farfield.cli._output import check_outputs
 
 
 def run(
@@ -19,6 +20,7 @@ def run(
     out: Path | None = None,
     to: str = "",
     write: bool = False,
+    save_at_exit: bool = False,
     detector: str = "",
     predictions: tuple[Path, ...] = (),
     format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes"] = "boxes-csv",
@@ -49,6 +51,7 @@ def run(
         out: Folder into which labels are saved; beside the journal unless given.
         to: Format of the saved labels; the data set's own unless given.
         write: Save into the data set's own label files.
+        save_at_exit: Write the labels also when the studio ends; else what was not saved stays in the journal.
         detector: Bundled names, runs' folders or weights files, comma-separated: their boxes can be proposed.
         predictions: Files of boxes to compare with.
         format: Format of the predictions.
@@ -63,7 +66,10 @@ def run(
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 
-    opening = DatasetOpener(data, **reading.options)
+    if data is None:
+        reading.check_unused("a data set")
+    check_outputs((data, *predictions, *names(detector), *reading.paths), folders={"--out": out, "--edits": edits})
+    opening = DatasetOpener(data, reading.open)
     settings = StudioSettings(
         mode="annotate",
         title=opening.title,
@@ -79,6 +85,7 @@ def run(
         out=out,
         to=to,
         write=write,
+        save_at_exit=save_at_exit,
         edits=edits,
     )
     return serve(opening, settings, port=port, browser=browser)

@@ -6,7 +6,8 @@ from typing import Literal
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, Jobs
-from farfield.cli._output import from_files, would_write
+from farfield.cli._output import check_outputs, from_files, would_write
+from farfield.vocabulary.counts import count_of
 
 
 def run(
@@ -59,6 +60,7 @@ def run(
     if any(len(pair) != 2 for pair in named):
         raise ConfigError(f"--stereo: expected LEFT:RIGHT, the names of two folders; got {' '.join(stereo)}")
     eyes = (*((pair[0], pair[1]) for pair in named), *PAIRS)
+    check_outputs((path,), folders={"out": out})
     sources = find_sources(path)
     chosen = AnonymizeOptions(how=how, small_faces=small_faces, plates=plates, together=series == "time")
     if chosen.without_plates():
@@ -67,7 +69,10 @@ def run(
         check_apart(sources.root, out)
         pictures = [sources.root / file for folder in sources.folders for file in folder.files]
         films = [sources.root / file for file in sources.films]
-        counts = f"{len(pictures)} pictures of {len(sources.folders)} folders and {len(films)} films, covered,"
+        counts = (
+            f"{count_of(len(pictures), 'picture')} of {count_of(len(sources.folders), 'folder')} "
+            f"and {len(films)} films, covered,"
+        )
         would_write(counts, out, from_files([*pictures, *films]))
         return
     summaries = anonymise(
@@ -82,12 +87,18 @@ def run(
     write_privacy_page(out / "anonymized.html", out, summaries, title=f"Covered: {path.name or path}")
     if series == "time" and not all(folder.stamped for folder in sources.folders):
         print("Names are no stamps: pictures of a folder count as 0.1 s apart, or give --series single.")
-    print(f"{len(summaries):,} pictures and frames; one cover is one box in one of them: {out / 'anonymized.html'}")
+    print(
+        f"{count_of(len(summaries), 'picture', spec=',')} and frames; one cover "
+        f"is one box in one of them: {out / 'anonymized.html'}"
+    )
     with_plates = plates and not chosen.without_plates()
     for kind, name in ((FACE, "Faces"), (PLATE, "Number plates"))[: 1 + with_plates]:
         tracks, covers = count_covers(summaries, kind, together=chosen.together)
         doubtful = sum(row["kind"] == kind for summary in summaries for row in summary.doubtful)
-        print(f"{name}: {tracks:,} followed over time, {covers:,} covers, {doubtful:,} of them doubtful")
+        print(
+            f"{name}: {tracks:,} followed over time, {count_of(covers, 'cover', spec=',')}, "
+            f"{doubtful:,} of them doubtful"
+        )
     if not with_plates:
         print("Number plates: left as they are, all of them")
         return

@@ -21,12 +21,13 @@ from farfield.calibration.saving import (
 )
 from farfield.calibration.solving import CalibrationKind, CalibrationOptions, pictured_camera, solve
 from farfield.cli._flags import AS_THEY_ARE, Reading, ReadingFlags
-from farfield.cli._output import OUTPUT, write_json
+from farfield.cli._output import OUTPUT, check_outputs, write_json
 from farfield.errors import ConfigError
 from farfield.figures.calibration_table import calibration_text
 from farfield.figures.camera import boxes_picture
 from farfield.figures.rig import camera_calibration_picture, radar_calibration_picture
 from farfield.files.images import write_image
+from farfield.jobs.folders import held
 from farfield.studio.options import CalibrationSettings, DatasetOpener, StudioSettings
 
 DEFAULTS = CalibrationOptions()
@@ -80,15 +81,21 @@ def run(
         json: Also write the result as JSON into this file; - prints it instead of the table.
     """
     if draw is not None:
+        check_outputs((path,), files={"--draw": draw})
         return _draw(options.board, draw)
     folder = out or Path("runs") / f"calibrate-{path.resolve().name}"
+    sources = (path, options.pairs, options.car, options.intrinsics, *reading.paths)
+    check_outputs(sources, files={"--json": json}, folders={"--out": folder})
+    if save is not None and not save.is_dir():  # into the data by design, after a copy
+        check_outputs(sources[1:], files={"--save": save})
     if page and (save is not None or kind in ("lidar-lidar", "board")):
         raise ConfigError("--page: expected radar-lidar or lidar-camera, without --save: the page saves")
     if page:
-        return _page(kind, DatasetOpener(path, **reading.options), options, folder, port=port, browser=browser)
-    with redirect_stdout(sys.stderr) if json == OUTPUT else nullcontext():  # so that the output is JSON alone
-        result = _solved(kind, path, options, reading, folder, save)
-    return _write(folder, result, json)
+        return _page(kind, DatasetOpener(path, reading.open), options, folder, port=port, browser=browser)
+    with held(folder):
+        with redirect_stdout(sys.stderr) if json == OUTPUT else nullcontext():  # so that the output is JSON alone
+            result = _solved(kind, path, options, reading, folder, save)
+        return _write(folder, result, json)
 
 
 def _solved(
@@ -212,6 +219,7 @@ def _draw(board: Board, path: Path) -> int:
 
     from farfield.calibration.boards import board_picture
 
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_image(path, np.repeat(board_picture(board)[:, :, None], 3, axis=2))
     print(
         f"wrote {path}: print it so that a square is {1000 * board.square_m:g} mm wide, and glue it to something flat"

@@ -1,6 +1,5 @@
 """``farfield compare``: the statistics of two data sets side by side, such as simulated and real."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +8,8 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, PointTimes, Reading, ReadingFlags, parse_pairs
-from farfield.cli._output import read_json, write_json
+from farfield.cli._output import check_outputs, console, write_json
+from farfield.files.json_text import read_json
 
 if TYPE_CHECKING:
     from farfield.inspection.comparison import ComparedDataset
@@ -37,6 +37,7 @@ def run(
     intensity_scale_b: float | None = None,
     point_times_a: PointTimes = "auto",
     point_times_b: PointTimes = "auto",
+    floor: Path | None = None,
     out: Path | None = None,
     json: Path | None = None,
 ) -> int:
@@ -47,6 +48,12 @@ def run(
       farfield compare data/sim Cirrus_dataset1 --frames 0 --names simulator,Cirrus --out runs/compare
       farfield compare data/kradar K-Radar --frames 500
       farfield compare data/sim data/kitti --clouds gaussian:lidar
+      farfield compare data/sim data/kitti --floor data/view_of_delft
+
+    How like a real roadside the simulated one is: its thickness, scatter and clutter, how well a classifier of small
+    patches tells the two apart on sequences that it did not learn from (on other sweeps, where one has a single
+    sequence), and by what. Two real sets are told apart to some degree too: with --floor a second real set says to
+    which.
 
     What one of them lacks is named and left out. Writes comparison.html, one self-contained page, and comparison.json.
 
@@ -54,13 +61,13 @@ def run(
         a: One data set; its format is recognised.
         b: The other.
         frames: Frames to read of each, spread evenly; 0 reads all.
-        names: What to call them, separated by a comma; their folders' names unless given.
+        names: What to call them, and the floor behind them, separated by commas; their folders' names unless given.
         vehicle_labels: Classes that count as vehicles, separated by commas.
         focus_deg: Elevation about which shares of returns are also counted.
         clouds: Which cloud of A stands beside which of B, as A:B with commas between, such as gaussian:lidar; unless
             given those of one name, or where no name is in both the first beside the first.
         jobs: Who does the work.
-        reading: How the files of both are read; what one reader does not know counts for the other.
+        reading: How the files of all are read; what one reader does not know counts for the others.
         mapping_a: Mapping YAML of a alone, of its classes or its layout.
         mapping_b: The same of b.
         columns_a: Columns of .bin files of a; what the numbers themselves show unless given.
@@ -71,11 +78,12 @@ def run(
         point_times_a: Unit of the points' times of a; auto decides by the sweeps' period, none leaves the column as it
             is.
         point_times_b: The same of b.
+        floor: Another real data set: how well b is told apart from it stands beside how well from a.
         out: Folder to write into; runs/compare-A-B unless given.
         json: Write what is in comparison.json into this file too; - prints it.
     """
     from farfield.errors import ConfigError
-    from farfield.inspection.comparison import count_dataset, pair_clouds
+    from farfield.inspection.comparison import count_dataset, pair_clouds, told_apart
     from farfield.pages.dataset_pages import table_lines, write_comparison
 
     if frames < 0:
@@ -83,22 +91,29 @@ def run(
     labels = tuple(word.strip() for word in vehicle_labels.split(",") if word.strip())
     if not labels:
         raise ConfigError(f"--vehicle-labels: expected at least one class, got {vehicle_labels!r}")
-    called = _names(names, (a, b))
+    paths = (a, b) if floor is None else (a, b, floor)
+    called = _names(names, paths)
     reading_a = ReadingFlags(
         mapping=mapping_a, columns=columns_a, intensity_scale=intensity_scale_a, point_times=point_times_a
     )
     reading_b = ReadingFlags(
         mapping=mapping_b, columns=columns_b, intensity_scale=intensity_scale_b, point_times=point_times_b
     )
-    opened = reading.open_both((a, b), (reading_a, reading_b))
+    folder = out or Path("runs") / f"compare-{'-'.join(called[:2])}".replace(" ", "_")
+    sources = (a, b, floor, *reading.paths, mapping_a, mapping_b)
+    check_outputs(sources, files={"--json": json}, folders={"--out": folder})
+    opened = reading.open_both(paths, (reading_a, reading_b, ReadingFlags())[: len(paths)])
     sides: Sequence[ComparedDataset] = [
         count_dataset(data, name, frames, jobs.options(name), vehicle_labels=labels, focus_deg=focus_deg)
-        for data, name in zip(opened, called, strict=True)
+        for data, name in zip(opened[:2], called[:2], strict=True)
     ]
     sides, pairs = pair_clouds(sides, parse_pairs(clouds, "--clouds") if clouds else None)
-    folder = out or Path("runs") / f"compare-{'-'.join(called)}".replace(" ", "_")
-    page = write_comparison(folder, sides, title=f"{called[0]} and {called[1]}")
-    _print(table_lines(sides), sides)
+    third = None
+    if floor is not None:
+        third = count_dataset(opened[2], called[2], frames, jobs.options(called[2]))
+    roadsides = told_apart(sides, third)
+    page = write_comparison(folder, sides, title=f"{called[0]} and {called[1]}", roadsides=roadsides)
+    _print(table_lines(sides, roadsides), sides)
     if pairs:
         print(f"clouds side by side: {', '.join(f'{a} : {b}' for a, b in pairs)}{'' if clouds else _UNASKED}")
     for side in sides:
@@ -109,21 +124,28 @@ def run(
     return 0
 
 
-def _names(names: str, paths: Sequence[Path]) -> tuple[str, str]:
+def _names(names: str, paths: Sequence[Path]) -> tuple[str, ...]:
     from farfield.errors import ConfigError
+    from farfield.files.atomic import readable
 
-    titles = tuple(word.strip() for word in names.split(",")) if names else tuple(path.resolve().name for path in paths)
-    if len(titles) != 2 or not all(titles):
-        raise ConfigError(f"--names: expected two names separated by a comma, got {names!r}")
-    if titles[0] == titles[1]:
-        titles = tuple(f"{path.resolve().parent.name}/{name}" for path, name in zip(paths, titles, strict=True))
-    if titles[0] == titles[1]:
-        titles = f"A: {titles[0]}", f"B: {titles[1]}"
-    return titles[0], titles[1]
+    titles = (
+        tuple(word.strip() for word in names.split(","))
+        if names
+        else tuple(readable(path.resolve().name) for path in paths)
+    )
+    if len(titles) != len(paths) or not all(titles):
+        expected = "two names separated by a comma" if len(paths) == 2 else "three names separated by commas"
+        raise ConfigError(f"--names: expected {expected}, got {names!r}")
+    if len(set(titles)) < len(titles):
+        titles = tuple(
+            f"{readable(path.resolve().parent.name)}/{name}" for path, name in zip(paths, titles, strict=True)
+        )
+    if len(set(titles)) < len(titles):
+        titles = tuple(f"{letter}: {name}" for letter, name in zip("ABC", titles, strict=False))
+    return titles
 
 
 def _print(lines: "Sequence[ComparisonLine]", sides: "Sequence[ComparedDataset]") -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -140,4 +162,4 @@ def _print(lines: "Sequence[ComparisonLine]", sides: "Sequence[ComparedDataset]"
         shown = Text("" if line.topic == topic else line.topic)
         table.add_row(shown, Text(line.what), *(Text(value) for value in line.values), line.published)
         topic = line.topic
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    console(width=160).print(table)

@@ -28,8 +28,9 @@ def run(
 
     Reads what farfield score --json and farfield evaluate write. Two results are of one convention if they agree in
     every setting that their figures depend on. If they do not, the command says in which they differ and stops, or,
-    with --separate, gives each convention columns of its own and names it. Other data, by the fingerprints of files and
-    of annotated boxes, always have columns of their own. Under each table stands what every row is of.
+    with --separate, gives each convention columns of its own and names it. Other data, by the fingerprints of files
+    with their reader's options and of annotated boxes, always have columns of their own. Under each table stands what
+    every row is of.
 
     Args:
         results: JSON files of results, or folders of farfield evaluate.

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 import tyro
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
-from farfield.cli._output import from_data, would_write
+from farfield.cli._output import check_outputs, from_data, would_write
+from farfield.vocabulary.counts import count_of
 
 
 def run(
@@ -14,7 +15,19 @@ def run(
     target: tyro.conf.Positional[Path | None] = None,
     /,
     *,
-    to: Literal["kitti", "cirrus", "boxes-csv", "openlabel", "sustechpoints", "cvat", "cache", "radar-store"],
+    to: Literal[
+        "kitti",
+        "openpcdet",
+        "cirrus",
+        "boxes-csv",
+        "openlabel",
+        "sustechpoints",
+        "cvat",
+        "nuscenes",
+        "cache",
+        "radar-store",
+    ],
+    dialect: Literal["nuscenes", "t4"] = "nuscenes",
     reading: Reading = AS_THEY_ARE,
     format: str | None = None,
     boxes: Literal["boxes", "full_boxes"] = "boxes",
@@ -35,21 +48,26 @@ def run(
     examples:
       farfield convert Cirrus_dataset1 --to cache
       farfield convert Cirrus_dataset1 data/as_kitti --to kitti
+      farfield convert Cirrus_dataset1 data/custom --to openpcdet
       farfield convert data/sim labels.csv --to boxes-csv
       farfield convert data/kradar labels.csv --to boxes-csv --reference radar
       farfield convert data/kitti data/as_cirrus --to cirrus
       farfield convert data/sim data/scenes --to sustechpoints
       farfield convert data/sim data/task --to cvat
+      farfield convert data/sim data/as_nuscenes --to nuscenes
       farfield convert data/kradar data/store --to radar-store
       farfield convert data/kradar data/store --to radar-store --verify
 
     An interrupted conversion goes on where it stopped: files that are there, intact and from unchanged sources are
-    skipped. A radar store also gets radar_store.json, which tells how many bytes each task needs.
+    skipped. What the target does not hold of the source is said first, a line each, by frames that are spread over the
+    set, and kept in the folder's .farfield_losses.jsonl. A radar store also gets radar_store.json, which tells how many
+    bytes each task needs.
 
     Args:
         source: Folder of the data set; its format is recognised.
         target: Folder to write into, or a .csv file with --to boxes-csv; none with --to cache.
         to: The layout to write.
+        dialect: With --to nuscenes: nuScenes' own tree, or T4's, a data set a scene.
         reading: How the files are read.
         format: Format of the source, if it is not to be recognised.
         boxes: Label the frames' own boxes, or the full objects' where the data set knows both.
@@ -66,37 +84,53 @@ def run(
         overwrite: Write everything anew.
         dry_run: Say what would be written, and write nothing.
     """
-    from farfield.datasets.convert import check_apart, convert
+    from farfield.datasets.convert import check_apart, convert, losses
     from farfield.datasets.convert import verify as verify_all
     from farfield.datasets.kradar.store import StoreSettings
     from farfield.errors import ConfigError, DatasetError
 
+    if dialect != "nuscenes" and to != "nuscenes":
+        raise ConfigError(f"--dialect {dialect}: expected --to nuscenes, whose dialects there are, got --to {to}")
+    layout = "t4" if dialect == "t4" else to
     if verify and (target is None or to == "cache"):
         raise ConfigError("convert: expected the folder that was written with --verify, got none")
+    if target is not None and not verify and to != "cache":
+        as_file = to == "boxes-csv" and target.suffix == ".csv"
+        check_outputs(
+            (source, *reading.paths),
+            files={"target": target if as_file else None},
+            folders={"target": None if as_file else target},
+            apart=True,
+        )
     dataset = reading.open(source, format=format, reference=reference)
     store_products = tuple(name.strip() for name in products.split(","))
     store = StoreSettings(products=store_products, region=region, rate=rate, over=over, doppler=doppler)
     if verify and target is not None:
-        faults = verify_all(dataset, target, to=to, boxes=boxes, cloud=cloud, store=store)
+        faults = verify_all(dataset, target, to=layout, boxes=boxes, cloud=cloud, store=store)
         if faults:
             shown = "".join(f"\n  {fault}" for fault in faults[:20]) + ("\n  ..." if len(faults) > 20 else "")
             fix = "Convert again without --verify to fix them."
             raise DatasetError(f"{target}: expected all to be intact, found {len(faults)} that are not. {fix}{shown}")
-        print(f"{len(dataset)} frames: what was written is intact.")
+        print(f"{count_of(len(dataset), 'frame')}: what was written is intact.")
         return
     if dry_run:
         if target is not None:
-            check_apart(target, dataset)
-        would_write(f"{len(dataset)} frames of {dataset.name} as {to}", target or source, from_data(dataset))
+            check_apart(target, dataset, beside=True)
+        for loss in losses(dataset, layout, boxes=boxes, cloud=cloud, store=store):
+            print(loss)
+        would_write(
+            f"{count_of(len(dataset), 'frame')} of {dataset.name} as {to}", target or source, from_data(dataset)
+        )
         return
     outcome = convert(
         dataset,
         target,
-        to=to,
+        to=layout,
         boxes=boxes,
         cloud=cloud,
         overwrite=overwrite,
         store=store,
         bulk=jobs.options("writing"),
+        announce=print,
     )
     print(f"{outcome.written} written, {outcome.skipped} were there and intact.")

@@ -7,7 +7,8 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
-from farfield.cli._output import from_data, would_write
+from farfield.cli._output import check_outputs, from_data, would_write
+from farfield.vocabulary.counts import count_of
 
 
 def run(
@@ -60,6 +61,7 @@ def run(
     """
     from farfield.depth.writing import DepthSettings, write_depth_maps
 
+    check_outputs((data, *reading.paths), files={"--picture": picture}, folders={"--out": out})
     dataset = reading.open(data, format=format)
     settings = DepthSettings(
         cloud=cloud,
@@ -76,7 +78,9 @@ def run(
         check_picture(picture)
     if dry_run:
         cameras = [settings.camera] if settings.camera else list(dataset[0].cameras if len(dataset) else ())
-        would_write(f"{len(dataset)} frames of {', '.join(cameras) or 'no camera'}", out, from_data(dataset))
+        would_write(
+            f"{count_of(len(dataset), 'frame')} of {', '.join(cameras) or 'no camera'}", out, from_data(dataset)
+        )
         return
     written = write_depth_maps(
         dataset,

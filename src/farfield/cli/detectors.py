@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from farfield.cli._output import write_json
+from farfield.cli._output import check_outputs, console, write_json
 from farfield.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -40,13 +40,13 @@ def run(
         measure: Time the bundled weights here.
         json: Also write everything as JSON into this file; - prints it too.
     """
-    from rich.console import Console
     from rich.table import Table
 
     from farfield.detectors.catalogue import by_weather, catalogue, figures
 
     if epsilon not in ("0", "0.003", "0.006", "0.009"):
         raise ConfigError(f"--epsilon: expected one of 0, 0.003, 0.006, 0.009; got {epsilon!r}")
+    check_outputs((), files={"--json": json})
     entries = catalogue()
     speeds = {entry.name: _measure(entry) if measure else _recorded(entry) for entry in entries}
     table = Table(box=None, pad_edge=False)
@@ -59,7 +59,7 @@ def run(
         table.add_row(entry.name, paper, entry.weights or "-", *_row(entry, speeds[entry.name], scores, cloud, epsilon))
         if entry.shipped:
             table.add_row("", "with the equal budget", "-", *_row(entry, "", entry.scores, cloud, epsilon))
-    Console(width=160).print(table)
+    console(width=160).print(table)
     for entry in entries:
         if entry.broken:
             print(f"\n{entry.broken}")
@@ -83,7 +83,6 @@ def run(
 
 def _print_weathers(rows: "list[WeatherScores]", about: Mapping[str, Any]) -> None:
     """The weights for K-Radar's sensors, a column a weather."""
-    from rich.console import Console
     from rich.table import Table
 
     if not rows:
@@ -96,7 +95,7 @@ def _print_weathers(rows: "list[WeatherScores]", about: Mapping[str, Any]) -> No
         cells = ("-" if value is None else f"{value:.1f}" for value in row.ap_3d.values())
         table.add_row(row.weights, row.cloud, f"{row.parameters_m:.2f} M", *cells)
     print()
-    Console(width=160).print(table)
+    console(width=160).print(table)
     print(f"\nAP_3d of Sedan at IoU 0.3, per cent, protocol kradar; {about['data']}, on simulation, not trained on")
     for row in rows:
         print(f"{row.weights}: {row.schedule}")

@@ -1,13 +1,12 @@
 """``farfield doctor``: say what a data set holds, what is missing and how to fix it."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tyro
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
-from farfield.cli._output import OUTPUT, write_json
+from farfield.cli._output import OUTPUT, check_outputs, console, write_json
 
 if TYPE_CHECKING:
     from farfield.inspection.doctor import DoctorReport
@@ -50,6 +49,7 @@ def run(
     """
     from farfield.inspection.doctor import examine
 
+    check_outputs((path, *reading.paths), files={"--json": json})
     dataset = reading.open(path, format=format)
     report = examine(dataset, max_clouds=frames, calibration=calibration, bulk=jobs.options("reading"))
     if json is not None:
@@ -60,7 +60,6 @@ def run(
 
 
 def _print(report: "DoctorReport") -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
@@ -71,13 +70,15 @@ def _print(report: "DoctorReport") -> None:
         severity = Text(finding.severity, style=_COLOURS[finding.severity])
         what = f"{finding.what} [{finding.where}]" if finding.where else finding.what
         table.add_row(severity, Text(finding.topic), Text(what), Text(finding.fix))
-    console = Console(width=None if sys.stdout.isatty() else 160)
-    console.print(table)
+    out = console(width=160)
+    out.print(table)
     if report.absent:
-        console.print(f"not there: {', '.join(report.absent)}", highlight=False)
-    from farfield.inspection.doctor.survey import counted
+        out.print(f"not there: {', '.join(report.absent)}")
+    from farfield.vocabulary.counts import count_of
 
     failures = sum(finding.severity == "fail" for finding in report.findings)
-    console.print(
-        f"{counted(failures, 'finding')} would make training fail or score zero." if failures else "Ready for training."
+    out.print(
+        f"{count_of(failures, 'finding')} would make training fail or score zero."
+        if failures
+        else "Ready for training."
     )

@@ -1,8 +1,8 @@
 """``farfield experiments``."""
 
-import sys
-
 from tyro.conf import Positional
+
+from farfield.cli._output import console
 
 
 def run(name: Positional[str] = "", /) -> int:
@@ -25,7 +25,6 @@ def run(name: Positional[str] = "", /) -> int:
     if name:
         print(find(name).read_text(encoding="utf-8"), end="")
         return 0
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
@@ -34,6 +33,6 @@ def run(name: Positional[str] = "", /) -> int:
     for entry in shipped():
         data = f"{entry.data} ({entry.simulated})" if entry.simulated else entry.data
         table.add_row(entry.name, entry.detector, data, f"{entry.steps:,}", entry.title)
-    Console(width=None if sys.stdout.isatty() else 200).print(table)
+    console(width=200).print(table)
     print("\ntrain one: farfield train NAME [-o data.path=FOLDER]\nas YAML: farfield experiments NAME")
     return 0

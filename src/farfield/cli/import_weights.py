@@ -5,6 +5,8 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+from farfield.cli._output import check_outputs
+
 
 def run(
     checkpoint: Positional[Path],
@@ -39,6 +41,8 @@ def run(
 
     from farfield.detectors import DETECTORS
     from farfield.errors import ConfigError
+    from farfield.files.atomic import readable
+    from farfield.jobs.folders import held
 
     _ = DETECTORS[kind or "pointpillars"].network_class  # without torch, says how to install it
     from farfield.detectors.openpcdet import import_openpcdet
@@ -46,17 +50,18 @@ def run(
 
     if out.suffix != ".safetensors":
         raise ConfigError(f"Expected a target that ends in .safetensors, got {out}.")
+    check_outputs((checkpoint, settings), files={"out": out})
     network, report = import_openpcdet(
         checkpoint, kind, settings=None if settings is None else _read_settings(settings), allow_unknown=allow_unknown
     )
     provenance = {
         "imported_from": "OpenPCDet",
-        "checkpoint": checkpoint.name,
+        "checkpoint": readable(checkpoint.name),
         "checkpoint_sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest(),
         "left_out": list(report.unknown),
     }
-    out.parent.mkdir(parents=True, exist_ok=True)
-    save_weights(out, network.state_dict(), config=network.config, provenance=provenance)
+    with held(out, file=True):
+        save_weights(out, network.state_dict(), config=network.config, provenance=provenance)
     print(report.text(every_key=every_key))
     print(f"weights: {out}")
     return 0
@@ -66,11 +71,12 @@ def _read_settings(path: Path) -> dict[str, object]:
     import yaml
 
     from farfield.errors import ConfigError, plain
-    from farfield.files.yaml_text import plain_yaml
+    from farfield.files.atomic import read_bytes
+    from farfield.files.yaml_text import MAX_BYTES, plain_yaml
 
     try:
-        settings = plain_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        settings = plain_yaml(read_bytes(path, max_bytes=MAX_BYTES))
+    except (OSError, yaml.YAMLError) as error:
         raise ConfigError(
             f"{path}: expected a YAML file with the detector's settings, found: {plain(error)}."
         ) from error

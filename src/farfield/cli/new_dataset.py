@@ -4,6 +4,8 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from farfield.cli._output import check_outputs
+
 
 def run(folder: Positional[Path], *, seed: int = 0) -> None:
     """Write an example of an own data set: sweeps, boxes, detections, and a text that says what is what.
@@ -21,6 +23,7 @@ def run(folder: Positional[Path], *, seed: int = 0) -> None:
     """
     from farfield.datasets.example import write_example
 
+    check_outputs((), folders={"folder": folder})
     files = write_example(folder, seed=seed)
     print("\n".join(str(path) for path in files))
     print(f"next: farfield doctor {folder}")

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 import tyro
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
-from farfield.cli._output import from_data, would_write
+from farfield.cli._output import check_outputs, from_data, would_write
+from farfield.vocabulary.counts import count_of
 
 
 def run(
@@ -59,14 +60,17 @@ def run(
     """
     from farfield.errors import ConfigError
     from farfield.figures.style import check_picture
+    from farfield.files.atomic import readable
+    from farfield.jobs.folders import held
     from farfield.odometry.drives import SweepSettings, odometry
     from farfield.odometry.odometry import OdometrySettings
     from farfield.pages.odometry_page import write_odometry
 
     if picture is not None:
         check_picture(picture)
-    name = data.resolve().name
+    name = readable(data.resolve().name)
     folder = out or Path("runs") / f"odometry-{name}"
+    check_outputs((data, *reading.paths), files={"--picture": picture}, folders={"--out": folder})
     opened = reading.open(data)
     if drives:
         indices_by_drive = opened.drive_indices()
@@ -76,26 +80,29 @@ def run(
         opened = opened.select([int(index) for drive in drives for index in indices_by_drive[drive]])
     if dry_run:
         count = len(opened.drives())
-        what = f"the poses of {len(opened)} sweeps of {count} {'drive' if count == 1 else 'drives'}"
+        what = f"the poses of {count_of(len(opened), 'sweep')} of {count_of(count, 'drive')}"
         would_write(what, folder, from_data(opened))
         return 0
-    tracks = odometry(
-        opened,
-        folder,
-        sweeps=SweepSettings(cloud=cloud, deskew=deskew, turning=turning, step_s=step_s),
-        settings=OdometrySettings(most_m=reach_m),
-        backward=backward,
-        overwrite=overwrite,
-        bulk=jobs.options("placing drives"),
-    )
-    write_odometry(folder, tracks, title=f"Odometry of {name}", picture=picture)
+    with held(folder):
+        tracks = odometry(
+            opened,
+            folder,
+            sweeps=SweepSettings(cloud=cloud, deskew=deskew, turning=turning, step_s=step_s),
+            settings=OdometrySettings(most_m=reach_m),
+            backward=backward,
+            overwrite=overwrite,
+            bulk=jobs.options("placing drives"),
+        )
+        write_odometry(folder, tracks, title=f"Odometry of {name}", picture=picture)
     for track in tracks:
         drift = track.drift
         known_drift = "drift not known"
         if drift is not None:
             known_drift = f"expect {drift.place_percent:.2f} % and {drift.turn_deg_per_100m:.3f} degrees a 100 m"
         clock = "" if track.cpu_ms is None else f", {track.cpu_ms:.0f} ms of CPU a sweep"
-        print(f"{track.name}: {len(track.table):,} sweeps, {track.way_m:,.1f} m, {known_drift}{clock}")
+        print(
+            f"{track.name}: {count_of(len(track.table), 'sweep', spec=',')}, {track.way_m:,.1f} m, {known_drift}{clock}"
+        )
         print("".join(f"  note: {finding}\n" for finding in track.findings), end="")
     print(f"poses: {(folder / 'poses').resolve()}\nreport: {(folder / 'odometry.html').resolve()}")
     return 0

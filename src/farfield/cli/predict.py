@@ -1,6 +1,7 @@
 """``farfield predict``."""
 
 import sys
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -9,7 +10,8 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, OWN_BOXES, Jobs, Reading, ReadingFlags, ShownBoxes
-from farfield.cli._output import print_doubts, would_write
+from farfield.cli._output import check_outputs, print_doubts, would_write
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -18,7 +20,13 @@ if TYPE_CHECKING:
     from farfield.evaluation import FrameDetections
     from farfield.frame import Boxes, Frame, Key
 
-_WORDS = {"boxes-csv": "", "kitti": " as KITTI's results", "nuscenes": " as nuScenes' results"}
+_WORDS = {
+    "boxes-csv": "",
+    "kitti": " as KITTI's results",
+    "nuscenes": " as nuScenes' results",
+    "argoverse2": " as a submission to Argoverse 2",
+    "waymo": " as Waymo's Objects",
+}
 
 
 def run(
@@ -26,7 +34,7 @@ def run(
     files: Positional[tuple[Path, ...]],
     *,
     out: Path | None = None,
-    format: Literal["boxes-csv", "kitti", "nuscenes"] | None = None,
+    format: Literal["boxes-csv", "kitti", "nuscenes", "argoverse2", "waymo"] | None = None,
     cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     boxes: ShownBoxes = OWN_BOXES,
     rotate_deg: float = 0.0,
@@ -44,6 +52,7 @@ def run(
       farfield predict pointpillars-cirrus-sim scan.pcd
       farfield predict runs/pointpillars-cirrus-sim a.xyz b.bin --out boxes.csv
       farfield predict pointpillars-cirrus-sim Cirrus_dataset1 --cloud uniform --out uniform.csv --picture first.png
+      farfield predict pointpillars-cirrus-sim argoverse2/val --out detections.feather
       farfield predict pointpillars-cirrus-sim own --classes vehicle:Car,pedestrian --score-threshold 0.3
       farfield predict pointpillars-cirrus-sim data/kitti --out results --format kitti
 
@@ -51,11 +60,12 @@ def run(
 
     Args:
         detector: A bundled detector's name, a run's folder, or a weights file.
-        files: Clouds (.pcd, .bin, .npy, .xyz, .ffcloud), or one data set's folder.
-        out: Where to write: a file ending in .csv, nuScenes' .json, or with --format kitti a folder; CSV is printed
-            unless given.
-        format: boxes-csv, kitti (FRAME.txt a frame, in a folder for each of several sequences; boxes in the camera) or
-            nuscenes (one JSON; boxes in the world where poses are known); what the suffix of --out says unless given.
+        files: Clouds (.pcd, .ply, .bin, .npy, .npz, .xyz, .las, .laz, .ffcloud), or one data set's folder.
+        out: Where to write: a file ending in .csv, nuScenes' .json, Argoverse 2's .feather, Waymo's .bin, or with
+            --format kitti a folder; CSV is printed unless given.
+        format: boxes-csv, kitti (FRAME.txt a frame, in a folder for each of several sequences; boxes in the camera),
+            nuscenes (one JSON; boxes in the world where poses are known), argoverse2 or waymo (submissions; boxes in
+            the vehicle's coordinates, frames named by their stamps); what the suffix of --out says unless given.
         cloud: Which of a data set's clouds; the first that suits the detector unless given.
         boxes: Which boxes are written: those that load_detector gives with the same settings. Without
             --score-threshold the weights' own threshold counts, and pictures leave out boxes below 0.3.
@@ -63,9 +73,7 @@ def run(
         reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
             sees the frames, such as radar.
         reading: How the files are read.
-        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so. In bf16
-            and fp16 on a processor, numbers change by about 0.002 with the order of a cloud's points, in fp32 by a
-            millionth.
+        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         jobs: Who does the work.
         picture: Draw the first frame from above into this file, and its camera images with their boxes beside it, as
@@ -78,9 +86,15 @@ def run(
     from farfield.errors import ConfigError
     from farfield.evaluation import plan_detection, suitable_clouds
     from farfield.files.boxes_csv import format_boxes_csv_parts
-    from farfield.jobs.folders import sweep_out_file
+    from farfield.jobs.folders import held
 
     chosen_format = result_format(out, format)
+    as_folder = chosen_format == "kitti"
+    check_outputs(
+        (*files, detector, *reading.paths),
+        files={"--out": None if as_folder else out, "--picture": picture},
+        folders={"--out": out if as_folder else None},
+    )
     frames = _frames(files, rotate_deg, reading)
     if out is not None:
         check_apart(out, frames)
@@ -99,27 +113,26 @@ def run(
     prepared = prepared if shown is prepared.task.frames else chosen(in_own=True)
     if dry_run:
         shown[0].cloud(cloud or suitable_clouds(loaded.info, shown[0])[0])  # reads it, or says why it cannot
-        would_write(f"the boxes of {len(frames)} frames as {chosen_format}", out or "the output")
+        would_write(f"the boxes of {count_of(len(frames), 'frame')} as {chosen_format}", out or "the output")
         return 0
-    if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        sweep_out_file(out)
-    predictions = _CountedPredictions(frames.keys, prepared.detections())
-    if out is not None and journal is not None:
-        results = ResultWriter(chosen_format, shown, frames.keys, loaded.kind)
-        results.write(out, predictions)
-        journal.unlink(missing_ok=True)
-        print("".join(f"note: {note}\n" for note in results.notes), end="")
-        least = loaded.config.score_threshold
-        print(
-            f"{predictions.count} boxes of score {least:g} or more in {len(frames)} frames"
-            f"{_WORDS[chosen_format]}: {out}"
-        )
-        if not predictions.count:
-            print("note: nothing was found; farfield doctor FOLDER says whether units, axes and intensities suit")
-    else:
-        for text in format_boxes_csv_parts(rows_of(predictions, shown[0].reference)):
-            sys.stdout.write(text)
+    with nullcontext() if out is None else held(out, file=chosen_format != "kitti"):
+        predictions = _CountedPredictions(frames.keys, prepared.detections())
+        if out is not None and journal is not None:
+            results = ResultWriter(chosen_format, shown, frames.keys, loaded.kind)
+            results.write(out, predictions)
+            journal.unlink(missing_ok=True)
+            print("".join(f"note: {note}\n" for note in results.notes), end="")
+            least = loaded.config.score_threshold
+            print(
+                f"{count_of(predictions.count, 'box', 'boxes')} of score {least:g} "
+                f"or more in {count_of(len(frames), 'frame')}"
+                f"{_WORDS[chosen_format]}: {out}"
+            )
+            if not predictions.count:
+                print("note: nothing was found; farfield doctor FOLDER says whether units, axes and intensities suit")
+        else:
+            for text in format_boxes_csv_parts(rows_of(predictions, shown[0].reference)):
+                sys.stdout.write(text)
     if picture is not None:
         _draw(picture, shown[0], predictions.first, boxes.score_threshold)
     return 0
@@ -131,11 +144,11 @@ def _draw(path: Path, frame: "Frame", predictions: "Boxes | None", least: float 
     from farfield.datasets.labels.json_labels import file_name
     from farfield.evaluation.report_data import shown_predictions
     from farfield.figures.camera import camera_picture
+    from farfield.figures.style import save_figure
     from farfield.vocabulary.scores import SHOWN_SCORE
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     shown_score = SHOWN_SCORE if least is None else least
-    show(frame, predictions, shown_score=shown_score).savefig(path, dpi=120)
+    save_figure(path, show(frame, predictions, shown_score=shown_score), dpi=120)
     print(f"picture: {path}")
     boxes, left_out = shown_predictions(predictions, shown_score)
     for name in frame.images:
@@ -144,7 +157,7 @@ def _draw(path: Path, frame: "Frame", predictions: "Boxes | None", least: float 
             print(f"note: no picture of the camera {name}: it has no calibration, so no place for boxes")
             continue
         target = path.with_name(f"{path.stem}-{file_name(name)}{path.suffix}")
-        camera_picture(frame.images[name], camera, predicted=boxes, title=left_out).savefig(target, dpi=120)
+        save_figure(target, camera_picture(frame.images[name], camera, predicted=boxes, title=left_out), dpi=120)
         print(f"picture: {target}")
 
 
@@ -179,4 +192,7 @@ def _frames(files: tuple[Path, ...], rotate_deg: float, reading: ReadingFlags) -
         )
     if rotate_deg:
         raise DatasetError("--rotate-deg turns the frames of a data set; put the clouds into a folder and name that.")
-    return CloudFiles(files, **reading.cloud_options)
+    data = CloudFiles(files, **reading.cloud_options)
+    for kind, sentence in data.remarks:
+        print(f"{kind}: {sentence}", file=sys.stderr)
+    return data

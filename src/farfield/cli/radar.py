@@ -7,7 +7,8 @@ from typing import Literal
 from tyro.conf import Positional
 
 from farfield.cli._flags import AS_THEY_ARE, Reading
-from farfield.cli._output import bar
+from farfield.cli._output import bar, check_outputs
+from farfield.vocabulary.counts import count_of
 
 
 def run(
@@ -49,6 +50,7 @@ def run(
         out: Folder to write into; runs/radar-NAME unless given.
     """
     from farfield.errors import ConfigError
+    from farfield.files.atomic import readable
     from farfield.inspection.radar_frame import look_at
     from farfield.pages.radar_page import write_radar
 
@@ -56,14 +58,18 @@ def run(
         raise ConfigError(f"--false-alarm: expected a probability between 0 and 1, got {false_alarm:g}")
     if not frames:
         raise ConfigError("--frames: expected one number or more, got none")
+    name = readable(path.resolve().name)
+    folder = out or Path("runs") / f"radar-{name}"
+    check_outputs((path, *reading.paths), folders={"--out": folder})
     data = reading.open(path, format="kradar", reference="radar")
     reduce = partial(look_at, data, kind=cfar, false_alarm=false_alarm, doppler=doppler, camera=camera)
     looks = [reduce(index, speed_m_s=speed, turn_deg_s=turn) for index in bar(frames, "frames")]
-    name = path.resolve().name
-    page, pictures = write_radar(out or Path("runs") / f"radar-{name}", looks, title=f"Radar frames of {name}")
+    page, pictures = write_radar(folder, looks, title=f"Radar frames of {name}")
     for look, picture in zip(looks, pictures, strict=True):
         echoes = look.views.echoes
-        detected = "no polar map: no echoes" if echoes is None else f"{len(echoes):,} echoes"
+        detected = (
+            "no polar map: no echoes" if echoes is None else f"{count_of(len(echoes), 'echo', 'echoes', spec=',')}"
+        )
         print(f"{look.key[0]} {look.key[1]}: {detected}; {picture}")
     print(f"report: {page.resolve()}")
     return 0

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Literal
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, JobFlags, Jobs, Reading
+from farfield.cli._output import check_outputs
+from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
@@ -60,24 +62,32 @@ def run(
         jobs: Who does the work.
     """
     if film is not None:
+        check_outputs((evaluation, predictions, *reading.paths), files={"--film": film})
         boxes = None if predictions is None else (predictions, format)
         return _film(reading.open(evaluation), film, boxes, drive, frames, (reach_m, rate_hz, shown_score), jobs)
     reading.check_unused("--film, which shows a data set")
     from farfield.errors import ConfigError
     from farfield.evaluation.record import EVALUATION, Evaluation
-    from farfield.experiments.course import course_of, is_run
+    from farfield.experiments.course import PAGE_NAME, course_of, is_run
     from farfield.files.sizes import sized
+    from farfield.jobs.folders import held
     from farfield.pages.evaluation_page import write_report
 
     if not evaluation.exists():
         raise ConfigError(f"evaluation: expected a folder or a JSON file, found nothing at {evaluation}")
+    record = evaluation / EVALUATION if evaluation.is_dir() else evaluation
+    own = evaluation.iterdir() if evaluation.is_dir() else ()  # a run's log and weights among them
+    read = [path for path in own if path.is_file() and path.suffix != ".html"]  # earlier pages are written anew
+    check_outputs((record, evaluation / "frames", *read), files={"--out": out})
     if is_run(evaluation) and not (evaluation / EVALUATION).is_file():
-        print(f"report: {course_of(evaluation, out, title=title).resolve()}")
+        with held(evaluation / PAGE_NAME if out is None else out, file=True):
+            print(f"report: {course_of(evaluation, out, title=title).resolve()}")
         return 0
     content = Evaluation.load(evaluation)
     if out is None:
         out = evaluation / "report.html" if evaluation.is_dir() else evaluation.with_suffix(".html")
-    path = write_report(out, replace(content, title=title or content.title), shown_score=shown_score)
+    with held(out, file=True):
+        path = write_report(out, replace(content, title=title or content.title), shown_score=shown_score)
     print(f"report: {path.resolve()} ({sized(path.stat().st_size)})")
     return 0
 
@@ -110,5 +120,5 @@ def _film(
         settings=FilmSettings(reach_m=reach_m, rate_hz=rate_hz, score=score),
         bulk=jobs.options("drawing"),
     )
-    print(f"film: {film.resolve()} ({count} frames, {sized(film.stat().st_size)})")
+    print(f"film: {film.resolve()} ({count_of(count, 'frame')}, {sized(film.stat().st_size)})")
     return 0

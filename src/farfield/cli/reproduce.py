@@ -7,7 +7,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._output import bar, would_write
+from farfield.cli._output import bar, check_outputs, would_write
 from farfield.errors import ConfigError
 
 
@@ -69,6 +69,7 @@ def run(
     """
     from farfield.papers import Reproduction, described
 
+    check_outputs((data, source), folders={"--out": out or Path("runs")})
     if transfer or seeds is not None:
         if train_only or device != "auto" or precision is not None:
             raise ConfigError("--train-only, --device, --precision: expected without --transfer and --seeds")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from farfield.cli._flags import AS_THEY_ARE, OWN_SCORING, Reading, Scoring
-from farfield.cli._output import OUTPUT, write_json
+from farfield.cli._output import OUTPUT, check_outputs, write_json
 
 if TYPE_CHECKING:
     pass
@@ -19,9 +19,13 @@ def run(
     labels: tyro.conf.Positional[Path],
     *,
     protocol: Annotated[
-        str, tyro.conf.arg(metavar="{dds,nuscenes,kitti,kradar,kradar-compat:VARIANT,tracking,nuscenes-tracking}")
+        str,
+        tyro.conf.arg(
+            metavar="{dds,nuscenes,nuscenes-detection,argoverse2,waymo,waymo-let,kitti,kradar,kradar-compat:VARIANT,"
+            "tracking,nuscenes-tracking}"
+        ),
     ] = "dds",
-    format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes"] = "boxes-csv",
+    format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes", "argoverse2", "waymo"] = "boxes-csv",
     scoring: Scoring = OWN_SCORING,
     conditions: str | None = None,
     reference: str = "",
@@ -35,6 +39,10 @@ def run(
       farfield score predictions.csv K-Radar --protocol kradar
       farfield score detections/ label/ --protocol nuscenes --format kitti-tracking --label Car
       farfield score results/data label_2 --protocol kitti --format kitti --label Car
+      farfield score detections.feather argoverse2/val --protocol argoverse2 --format argoverse2
+      farfield score detections.feather labels.feather --protocol argoverse2 --format argoverse2 --range-bins-m 0,150
+      farfield score predictions.bin ground_truths.bin --protocol waymo --format waymo
+      farfield score predictions.bin ground_truths.bin --protocol waymo-let --format waymo
       farfield score tracks/ label/ --protocol tracking --format kitti-tracking --label Car --iou 0.25
       farfield score predictions.csv labels.csv --protocol kradar --conditions K-Radar --label-version v2.1
       farfield score predictions.csv labels.csv --protocol kradar-compat:revised_as_shipped@0.3 --label-version v2.0
@@ -51,13 +59,16 @@ def run(
         predictions: File, or folder of files, of predicted boxes.
         labels: File, or folder of files of equal stems, of annotated boxes; or a data set's folder, whose annotation is
             then seen in the coordinates of the predictions.
-        protocol: dds (DDS and wDDS of Cirrus), nuscenes (AP, translation, scale, orientation), kitti (AP R11, R40),
-            kradar (AP3D and AP_BEV, R40), or kradar-compat:VARIANT, as K-Radar's kit computes it: old_as_shipped,
-            old_yaw_fixed, revised_as_shipped, revised_yaw_fixed, each also with @0.3, @0.5, @0.7 as score cut;
-            rtnh_narrow, rtnh_wide, lidar_wide, asf_narrow, asf_wide; tracking
-            (MOTA, sAMOTA, HOTA, identity F1 of tracks in 3D), nuscenes-tracking (AMOTA, AMOTP). A protocol of an
+        protocol: dds (DDS and wDDS of Cirrus), nuscenes (AP, translation, scale, orientation), nuscenes-detection (its
+            task whole: ten classes, five errors, NDS), argoverse2 (CDS, AP, ATE, ASE, AOE of all categories), waymo
+            (AP and APH at levels 1 and 2), waymo-let (the same tolerant of errors along the line of sight), kitti (AP
+            in space, from above and in the image, AOS; R11, R40), kradar (AP3D and AP_BEV, R40), or
+            kradar-compat:VARIANT, as K-Radar's kit computes it: old_as_shipped, old_yaw_fixed, revised_as_shipped,
+            revised_yaw_fixed, each also with @0.3, @0.5, @0.7 as score cut; rtnh_narrow, rtnh_wide, lidar_wide,
+            asf_narrow, asf_wide; tracking (MOTA, sAMOTA, HOTA, identity F1 of tracks in 3D), nuscenes-tracking
+            (AMOTA, AMOTP). A protocol of an
             installed package by its name.
-        format: Format of both.
+        format: Format of both; argoverse2 and waymo are their leaderboards' submissions, and labels in the same form.
         scoring: How the boxes are scored; without a label every class is, each for itself, the most annotated one
             first.
         conditions: For kradar: a CSV with the columns sequence, road, time, weather; a K-Radar tree with its
@@ -69,6 +80,7 @@ def run(
     from farfield.evaluation import read_detections, with_conditions
     from farfield.metrics import PROTOCOLS
 
+    check_outputs((predictions, labels, conditions, *reading.paths), files={"--json": json})
     chosen = PROTOCOLS[protocol]
     settings = scoring.settings(chosen)
     if format != "boxes-csv" and chosen.default("region") == "window":

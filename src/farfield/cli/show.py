@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import Positional
 
-from farfield.cli._flags import AS_THEY_ARE, OWN_BOXES, Reading, ShownBoxes
+from farfield.cli._flags import AS_THEY_ARE, OWN_BOXES, Reading, ShownBoxes, names
+from farfield.cli._output import check_outputs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,8 +48,12 @@ def run(
     from farfield.api import load_detector
     from farfield.errors import ConfigError
     from farfield.evaluation import as_trained, suitable_clouds
+    from farfield.figures.style import save_figure
     from farfield.frame.provenance import is_simulated
+    from farfield.jobs.folders import held
 
+    path = out or Path("runs") / f"show-{data.resolve().name}-{frame}.png"
+    check_outputs((data, *names(detector), *reading.paths), files={"--out": path})
     opened, predicted = reading.open(data), None
     if radar and opened.name == "kradar":
         opened = reading.open(data, reference="radar")
@@ -61,9 +66,8 @@ def run(
         cloud = cloud or suitable_clouds(loaded.info, shown)[0]
         predicted = loaded.with_cloud(cloud)(shown)
     figure = _drawn(shown, predicted, radar, cloud, boxes.score_threshold)
-    path = out or Path("runs") / f"show-{opened.root.resolve().name}-{frame}.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
+    with held(path, file=True):
+        save_figure(path, figure, dpi=150)
     print("simulated data\n" if is_simulated(opened.root) else "", end="")
     print(f"{figure.axes[0].get_title(loc='left')}\npicture: {path.resolve()}")
     return 0

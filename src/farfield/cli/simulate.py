@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from farfield.cli._output import bar
+from farfield.cli._output import bar, check_outputs
 from farfield.simulation.recording import RecordingOptions, record
 
 AS_IT_IS = RecordingOptions()
@@ -37,13 +37,14 @@ def run(
     Args:
         preset: cirrus-sim (two scan patterns and a camera, highway and town in turn), cirrus-sim-ideal (patterns taken
             at the same moment), cirrus-sim-highway, cirrus-sim-urban, cirrus-sim-varied (many roads, sensor mountings
-            and size priors, to train on), cirrus-sim-val-v2 (frozen), kradar-sim (58 sequences in seven weathers: two
-            Ousters, 4D radar, stereo cameras), kitti-sim (64 beams, full bodies, annotated in the camera's field),
-            radiate-sim (a turning radar, four pictures a second, traffic on the left), cirrus-sim-mini,
-            kradar-sim-mini, kitti-sim-mini, radiate-sim-mini.
+            and size priors, to train on), cirrus-sim-val-v2 (frozen), cirrus-sim-val-v3 (its
+            roads in world v3), kradar-sim (58 sequences in seven weathers: two Ousters, 4D radar, stereo cameras),
+            kitti-sim (64 beams, full bodies, annotated in the camera's field), radiate-sim (a turning radar, four
+            pictures a second, traffic on the left), cirrus-sim-mini, kradar-sim-mini, kitti-sim-mini, radiate-sim-mini.
         out: Folder to write into; made if absent. Cirrus frames go to Cirrus_dataset1 below it, K-Radar's to 1, 2, ...
         options: What is changed of it, and who works.
     """
+    check_outputs((), folders={"out": out})
     if options.recording:
         from farfield.simulation.recording.raw import record_streams
 

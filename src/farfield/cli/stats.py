@@ -1,13 +1,14 @@
 """``farfield stats``: the figures and tables of one data set."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, JobFlags, Jobs, Reading
-from farfield.cli._output import read_json, write_json
+from farfield.cli._output import check_outputs, console, write_json
+from farfield.files.json_text import read_json
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
@@ -47,14 +48,16 @@ def run(
         json: Write what is in statistics.json into this file too; - prints it.
     """
     from farfield.errors import ConfigError
+    from farfield.files.atomic import readable
     from farfield.pages.dataset_pages import write_statistics
 
     if sweeps < 0:
         raise ConfigError(f"--sweeps: expected 0 (annotations alone) or more, got {sweeps}")
-    dataset = reading.open(path, format=format)
-    called = name or path.resolve().name
-    figures = _count(dataset, called, path, sweeps, jobs)
+    called = name or readable(path.resolve().name)
     folder = out or Path("runs") / f"stats-{called}".replace(" ", "_")
+    check_outputs((path, *reading.paths), files={"--json": json}, folders={"--out": folder})
+    dataset = reading.open(path, format=format)
+    figures = _count(dataset, called, path, sweeps, jobs)
     page = write_statistics(folder, figures)
     _print(figures)
     if json is not None:
@@ -86,17 +89,19 @@ def _count(dataset: "Dataset", called: str, path: Path, sweeps: int, jobs: JobFl
 
 
 def _print(figures: "DatasetFigures") -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     from farfield.pages.dataset_pages import tables
 
-    census, console = figures.census, Console(width=None if sys.stdout.isatty() else 160)
+    census, out = figures.census, console(width=160)
     annotated = f"{census['annotated_frames']:,} annotated, {census['empty_frames']:,} of them empty"
-    console.print(f"{figures.format}: {census['frames']:,} frames of {census['sequences']} sequences, {annotated}")
+    out.print(
+        f"{figures.format}: {count_of(census['frames'], 'frame', spec=',')} of "
+        f"{count_of(census['sequences'], 'sequence')}, {annotated}"
+    )
     for kind, counts in census["frames_by"].items():
-        console.print(f"{kind}: " + ", ".join(f"{name} {count:,}" for name, count in counts.items()))
+        out.print(f"{kind}: " + ", ".join(f"{name} {count:,}" for name, count in counts.items()))
     for title, heads, rows in tables(census):
         if title == "Sequences" and len(rows) > 1:
             continue  # on the page
@@ -105,8 +110,8 @@ def _print(figures: "DatasetFigures") -> None:
             table.add_column(head, justify="right" if column else "left", overflow="fold")
         for row in rows:
             table.add_row(*map(Text, row))
-        console.print(table)
+        out.print(table)
     for text in figures.notes:
-        console.print(f"note: {text}")
+        out.print(f"note: {text}")
     for text in census["damaged"][:10]:
-        console.print(Text(f"damaged: {text}"))
+        out.print(f"damaged: {text}")

@@ -5,7 +5,7 @@ from typing import Literal
 
 import tyro
 
-from farfield.cli._output import would_write
+from farfield.cli._output import check_outputs, would_write
 
 
 def run(
@@ -41,22 +41,26 @@ def run(
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError
+    from farfield.files.atomic import readable
     from farfield.pages.sync_page import write_synchronised
     from farfield.sync.sources import recordings
     from farfield.sync.synchronising import describe, reference_of
+    from farfield.vocabulary.counts import count_of
 
     if tolerance_ms is not None and not 0 <= tolerance_ms < 1e9:
         raise ConfigError(f"--tolerance-ms: expected 0 or more milliseconds, got {tolerance_ms:g}")
-    name = path.resolve().name
+    name = readable(path.resolve().name)
     tolerance_ns = None if tolerance_ms is None else round(tolerance_ms * 1e6)
     folder = out or Path("runs") / f"sync-{name}"
+    check_outputs((path,), folders={"--out": folder})
     read = recordings(path, unit=unit, stamp=stamp)
     if dry_run:
         streams = [describe(recording) for recording in read]
         for recording, described in zip(read, streams, strict=True):
             reference_of(recording.name, described, to)
         messages = sum(health.count for described in streams for health in described.values())
-        would_write(f"the matches of {messages:,} messages of {sum(map(len, streams))} streams", folder)
+        held = f"{count_of(messages, 'message')} of {count_of(sum(map(len, streams)), 'stream')}"
+        would_write(f"the matches of {held}", folder)
         return 0
     synchronised = write_synchronised(
         folder,
@@ -66,11 +70,14 @@ def run(
         title=f"Synchronisation of {name}",
     )
     for drive in synchronised:
-        print(f"{drive.name}: matched to {drive.reference}, {drive.streams[drive.reference].count:,} messages")
+        print(
+            f"{drive.name}: matched to {drive.reference}, {count_of(drive.streams[drive.reference].count, 'message')}"
+        )
         for stream, pair in drive.pairs.items():
             clock = pair.clock
-            drift = "" if clock is None else f", drift {clock.drift_ppm:.3f} ± {clock.drift_se_ppm:.3f} ppm"
-            print(f"  {stream}: {pair.matched:,} matched, worst {pair.worst_ns / 1e6:.3f} ms{drift}")
+            drift = "" if clock is None else f", drift {clock.drift_ppm:+.3f} ± {clock.drift_se_ppm:.3f} ppm"
+            usual = f", {pair.usual} than {drive.reference}, worst {pair.worst_ns / 1e6:.3f} ms" if pair.matched else ""
+            print(f"  {stream}: {pair.matched:,} matched{usual}{drift}")
         print("".join(f"  note: {finding}\n" for finding in drive.findings), end="")
     print(f"report: {(folder / 'sync.html').resolve()}")
     return 0

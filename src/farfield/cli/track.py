@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from farfield.cli._flags import AS_THEY_ARE, Reading
-from farfield.cli._output import would_write
+from farfield.cli._output import check_outputs, would_write
+from farfield.vocabulary.counts import count_of
 
 
 def run(
@@ -73,6 +74,7 @@ def run(
     from farfield.evaluation import in_coordinates
     from farfield.figures.style import check_picture
     from farfield.figures.trails import write_trails
+    from farfield.jobs.folders import held
     from farfield.metrics.box_files import read_predictions
     from farfield.tracking import join_settings, join_tracks, track, with_options
     from farfield.tracking import preset as preset_of
@@ -84,10 +86,12 @@ def run(
     changes = {name: value for name, value in changes.items() if value is not None}
     changes |= {"output": "detection", "report_coasted": False} if smooth else {}
     kind = format if to == "same" else to
-    if kind == "kitti-tracking" and out.is_file():
-        raise ConfigError(f"{out}: expected a folder for KITTI's tracking text, found a file")
-    if out.resolve() == detections.resolve():
-        raise ConfigError(f"{out}: expected another name than that of the detections: they would be written over")
+    as_folder = kind == "kitti-tracking"
+    check_outputs(
+        (detections, data, poses, *reading.paths),
+        files={"--out": None if as_folder else out, "--picture": picture},
+        folders={"--out": out if as_folder else None},
+    )
     if poses is not None and data is None:
         raise ConfigError("--poses: expected --data too, whose frames they place")
     if data is None:
@@ -103,7 +107,9 @@ def run(
         )
     if dry_run:
         would_write(
-            f"the tracks of {sum(map(len, predictions.boxes.values()))} boxes in {len(predictions.boxes)} frames", out
+            f"the tracks of {count_of(sum(map(len, predictions.boxes.values())), 'box', 'boxes')} "
+            f"in {count_of(len(predictions.boxes), 'frame')}",
+            out,
         )
         return 0
     tracks = track(predictions, settings)
@@ -120,12 +126,13 @@ def run(
                 f"{max(all_scores):g}",
                 file=sys.stderr,
             )
-    if kind == "kitti-tracking":
-        write_kitti_tracks(out, tracks)
-    elif kind == "nuscenes":
-        write_nuscenes_tracks(out, tracks)
-    else:
-        write_tracks_csv(out, tracks)
+    with held(out, file=kind != "kitti-tracking"):
+        if kind == "kitti-tracking":
+            write_kitti_tracks(out, tracks)
+        elif kind == "nuscenes":
+            write_nuscenes_tracks(out, tracks)
+        else:
+            write_tracks_csv(out, tracks)
     if picture is not None:
         write_trails(picture, tracks)
     print("".join(f"note: {note}\n" for note in tracks.notes), end="")
@@ -135,5 +142,8 @@ def run(
     }
     looked = [word for word, done in (("joined", join_s is not None), ("smoothed", smooth)) if done]
     mode = f"offline ({', '.join(looked)})" if looked else "online"
-    print(f"{preset}, {mode}: {len(names)} tracks, {boxes} boxes in {len(tracks.boxes)} frames\nwritten: {out}")
+    print(
+        f"{preset}, {mode}: {count_of(len(names), 'track')}, {count_of(boxes, 'box', 'boxes')} "
+        f"in {count_of(len(tracks.boxes), 'frame')}\nwritten: {out}"
+    )
     return 0

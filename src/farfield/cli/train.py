@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from farfield.cli._output import would_write
+from farfield.cli._output import check_outputs, console, would_write
 from farfield.cli._training_report import BarReport, LineReport
+from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
     from farfield.experiments.schema import Experiment
@@ -43,26 +44,27 @@ def run(
         dry_run: Say what would be learnt from, what would be taken of the weights to start from, which parts learn how
             fast, and where it would be written, and write nothing.
     """
-    from rich.console import Console
-
     from farfield.experiments.catalogue import find
     from farfield.experiments.plan import Plan
     from farfield.experiments.schema import load_experiment
 
     settings = load_experiment(find(experiment), override)
-    console = Console(stderr=True)
+    terminal = console(stderr=True)
     training = settings.training
-    kind = BarReport if console.is_terminal else LineReport
+    kind = BarReport if terminal.is_terminal else LineReport
     folder = out / settings.name
     plan = Plan(settings, folder)
-    report = kind(console, folder, training.log_every_steps, _following(folder, settings))
+    groups = settings.data.values() if isinstance(settings.data, Mapping) else [settings.data]
+    start = () if training.start is None else (training.start.weights,)
+    check_outputs((experiment, *(group.path for group in groups), *start), folders={"--out": folder})
+    report = kind(terminal, folder, training.log_every_steps, _following(folder, settings))
     if not dry_run:
         plan.run(report)
         return 0
     plan.announce(report)
     for line in plan.dry_run():
         print(line)
-    would_write(f"weights, log and checkpoints of {training.steps} steps", folder)
+    would_write(f"weights, log and checkpoints of {count_of(training.steps, 'step')}", folder)
     return 0
 
 

@@ -6,6 +6,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from farfield.cli._flags import AS_THEY_ARE, Reading, names
+from farfield.cli._output import check_outputs
 
 
 def run(
@@ -52,7 +53,10 @@ def run(
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 
-    opening = DatasetOpener(data, **reading.options, reference=reference)
+    if data is None:
+        reading.check_unused("a data set")
+    check_outputs((data, *predictions, *names(detector), *reading.paths), files={"--html": html})
+    opening = DatasetOpener(data, reading.open, reference=reference)
     settings = StudioSettings(
         mode="view",
         title=opening.title,

@@ -31,6 +31,8 @@ def plain(error: BaseException) -> str:
         return "too many groups within one another"
     if type(error) is KeyError:
         return f"no key {error.args[0]!r}" if error.args else "a missing key"
+    if isinstance(error, IsADirectoryError):
+        return "a folder"
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return " ".join(str(error).split())[:200] or type(error).__name__
@@ -120,12 +122,13 @@ EXTRAS = {
     "numba": ("simulate", "numba"),
     "pyarrow": ("argoverse2", "pyarrow"),
     "rosbags": ("bags", "rosbags"),
+    "lazrs": ("las", "lazrs"),
     "cv2": ("privacy", "opencv-python-headless"),
     "av": ("video", "av"),
     "starlette": ("studio", "starlette"),
     "uvicorn": ("studio", "uvicorn"),
     "websockets": ("studio", "websockets"),
-    "zstandard": ("studio", "zstandard"),
+    "zstandard": ("sensors", "zstandard"),
 }
 """Extra and package of each module that ``import farfield`` can do without."""
 

@@ -3,21 +3,23 @@
 import hashlib
 import json
 import os
-import zlib
+import stat
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from threading import Lock, Timer
 from typing import Any, NamedTuple
 
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import open_atomic
+from farfield.files.json_text import plain_json
+from farfield.files.limits import open_file
+from farfield.files.marks import Mark, mark_of
+from farfield.files.outputs import check_replaceable
 from farfield.jobs.units import Unit
 
 GROUP_S, GROUP_UNITS = 0.05, 100
 """Lines are written together after so many seconds, or so many units: a lost line costs a unit done again."""
-
-Mark = tuple[int, int]
-"""Size and CRC-32 of a file."""
 
 
 class _JournalEntry(NamedTuple):
@@ -40,10 +42,13 @@ class JobJournal:
             there unfinished is swept out.
 
     Raises:
-        FileFormatError: If the file is no journal.
+        ConfigError: If something other than a regular file has its name.
+        FileFormatError: If a line before the last is damaged; the last one is left out, as a killed command leaves it.
     """
 
     def __init__(self, path: Path, setting: str = "", *, overwrite: bool = False, files: bool = True) -> None:
+        if overwrite or not (path.is_symlink() and path.is_file()):  # a link is read, and never written to
+            check_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path, self.folder, self.setting, self.files = path, path.parent, setting, files
         self._entries: dict[str, _JournalEntry] = {}
@@ -51,6 +56,7 @@ class JobJournal:
         self._lock = Lock()
         self._timer: Timer | None = None
         self._read_ns, self._sorted = -1, True
+        self._torn_at: int | None = None  # where a line begins that is not whole: what comes next is written there
         if overwrite:
             path.unlink(missing_ok=True)
         elif path.is_file():
@@ -60,24 +66,26 @@ class JobJournal:
         return len(self._entries)
 
     def _read(self) -> None:
-        self._read_ns = self.path.stat().st_mtime_ns
-        offset, last, number = 0, "", 0
-        with self.path.open("rb") as handle:
+        offset, last = 0, ""
+        with open_file(self.path, max_bytes=None) as handle:
+            status = os.fstat(handle.fileno())
+            self._read_ns = status.st_mtime_ns
             for number, line in enumerate(handle, start=1):
-                if not line.endswith(b"\n"):  # cut off by an interruption
-                    break
+                is_last = offset + len(line) >= status.st_size
                 try:
-                    name, entry = _parse_line(line, offset)
-                except (ValueError, KeyError, TypeError, AttributeError) as error:
-                    fix = "Delete it, or pass --overwrite, to begin anew."
-                    raise FileFormatError(
-                        self.path, where=f"line {number}", expected="a journal entry", got=plain(error), fix=fix
-                    ) from error
+                    name, entry = _parse_line(line, offset, value=is_last)
+                except _DAMAGES as error:
+                    if is_last:  # cut off by an interruption: its unit is done again
+                        self._torn_at = offset
+                        break
+                    raise self._damaged(number, error) from error
                 self._sorted &= last < name
                 self._entries[name], last, offset = entry, name, offset + len(line)
-        if offset < self.path.stat().st_size:
-            os.truncate(self.path, offset)
-            os.utime(self.path, ns=(self._read_ns, self._read_ns))
+
+    def _damaged(self, number: int, error: Exception) -> FileFormatError:
+        fix = "Delete that line, and its unit is done again, or the file (--overwrite), to begin anew."
+        where, what = f"line {number}", "a journal entry"
+        return FileFormatError(self.path, where=where, expected=what, got=plain(error)[:200], fix=fix)
 
     def has(self, unit: Unit) -> bool:
         """Whether a unit was made from these very sources with this setting, and its files are intact."""
@@ -104,7 +112,7 @@ class JobJournal:
             status = path.stat()
         except OSError:
             return False
-        if status.st_size != mark[0]:
+        if status.st_size != mark[0] or not stat.S_ISREG(status.st_mode):
             return False
         return (status.st_mtime_ns <= self._read_ns and not every_byte) or mark_of(path) == mark
 
@@ -123,55 +131,93 @@ class JobJournal:
             self._waiting.append((unit.name, source, files, f"{head}{tail}\n".encode()))
             full = len(self._waiting) >= GROUP_UNITS
             if not full and self._timer is None:
-                self._timer = Timer(GROUP_S, self.commit)
+                self._timer = Timer(GROUP_S, self._commit_later)
                 self._timer.daemon = True
                 self._timer.start()
         if full:
             self.commit()
 
     def commit(self) -> None:
-        """Write what waits, to the disk itself."""
+        """Write what waits, to the disk itself.
+
+        Raises:
+            OSError: If that fails, such as on a full disk; the file then is as it was, and all waits still.
+        """
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
             if not self._waiting:
                 return
-            with self.path.open("ab") as handle:
-                offset = handle.tell()
-                handle.write(b"".join(line for *_, line in self._waiting))
-                handle.flush()
-                os.fsync(handle.fileno())
+            check_replaceable(self.path)
+            with self.path.open("ab", buffering=0) as handle:
+                if self._torn_at is not None:
+                    handle.truncate(self._torn_at)
+                    self._torn_at = None
+                offset = handle.seek(0, os.SEEK_END)
+                rest = memoryview(b"".join(line for *_, line in self._waiting))
+                try:
+                    while rest:
+                        rest = rest[os.write(handle.fileno(), rest) :]
+                    os.fsync(handle.fileno())
+                except BaseException:  # a full disk, or a signal: no half line stays
+                    handle.truncate(offset)
+                    raise
             for name, source, files, line in self._waiting:
                 self._entries[name] = _JournalEntry(source, files, (offset, len(line)))
                 offset += len(line)
             self._waiting, self._sorted = [], False
+
+    def _commit_later(self) -> None:
+        with suppress(OSError):  # it waits on, and the next commit says what is wrong
+            self.commit()
 
     def finish(self) -> None:
         """Commit and sort the lines by name, each unit once."""
         self.commit()
         if self._sorted:
             return
-        with self._lock, self.path.open("rb") as old, open_atomic(self.path) as new:
+        with self._lock, open_file(self.path, max_bytes=None) as old, open_atomic(self.path) as new:
+            entries: dict[str, _JournalEntry] = {}
             for name in sorted(self._entries):
                 entry = self._entries[name]
                 old.seek(entry.line[0])
-                self._entries[name] = entry._replace(line=(new.tell(), entry.line[1]))
+                entries[name] = entry._replace(line=(new.tell(), entry.line[1]))
                 new.write(old.read(entry.line[1]))
-        self._sorted = True
+        self._entries, self._sorted, self._torn_at = entries, True, None
 
     def values(self, names: Iterable[str]) -> Iterable[Any]:
         """The values of units that are there, one at a time from the file."""
         self.commit()
-        with self.path.open("rb") as handle:
+        with open_file(self.path, max_bytes=None) as handle:
             for name in names:
                 offset, length = self._entries[name].line
                 handle.seek(offset)
-                yield json.loads(handle.read(length).partition(b"\t")[2] or b"null")
+                try:
+                    value = plain_json(handle.read(length).partition(b"\t")[2] or b"null")
+                except ValueError as error:
+                    handle.seek(0)
+                    raise self._damaged(handle.read(offset).count(b"\n") + 1, error) from error
+                yield value
+
+    def file_sizes(self) -> dict[str, int]:
+        """Size of every file that was written, by its name below the journal's folder."""
+        return {name: mark[0] for entry in self._entries.values() for name, mark in entry.files.items()}
 
 
-def _parse_line(line: bytes, offset: int) -> tuple[str, _JournalEntry]:
-    entry = json.loads(line.partition(b"\t")[0])
+_DAMAGES = (ValueError, KeyError, TypeError, AttributeError)
+
+
+def _parse_line(line: bytes, offset: int, *, value: bool) -> tuple[str, _JournalEntry]:
+    """A line's unit and entry; the value, which is read when it is needed, is looked at where that is asked for."""
+    if not line.endswith(b"\n"):
+        raise ValueError("a line without its end")
+    if b"\0" in line:
+        raise ValueError("zeros, as a disk leaves them that lost its power")
+    head, _, tail = line.partition(b"\t")
+    entry = plain_json(head)
+    if value and tail:
+        plain_json(tail)
     files = {str(path): (int(size), int(crc)) for path, (size, crc) in entry["files"].items()}
     outside = [path for path in files if ".." in PurePosixPath(path).parts or PurePosixPath(path).is_absolute()]
     if outside:
@@ -181,17 +227,9 @@ def _parse_line(line: bytes, offset: int) -> tuple[str, _JournalEntry]:
 
 def state_of(sources: Sequence[Path], setting: str) -> str:
     """Digest of the sources' names, sizes and times of change, and of what else decides the result."""
-    digest = hashlib.sha256(setting.encode())
+    digest = hashlib.sha256(setting.encode(errors="surrogateescape"))
     for path in sources:
         status = path.stat()
-        digest.update(f"\0{path.name}\0{status.st_size}\0{status.st_mtime_ns}".encode())
+        name = f"\0{path.name}\0{status.st_size}\0{status.st_mtime_ns}"
+        digest.update(name.encode(errors="surrogateescape"))
     return digest.hexdigest()[:32]
-
-
-def mark_of(path: Path) -> Mark:
-    """Size and CRC-32 of a file."""
-    size = crc = 0
-    with path.open("rb") as handle:
-        while block := handle.read(1 << 20):
-            size, crc = size + len(block), zlib.crc32(block, crc)
-    return size, crc

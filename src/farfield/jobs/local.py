@@ -11,6 +11,7 @@ from queue import SimpleQueue
 from threading import Event, Lock, Semaphore, Thread
 from typing import IO, Any
 
+from farfield.jobs.folders import handles
 from farfield.jobs.process import VARIABLES, one_thread
 from farfield.jobs.units import BulkError, FailedTask, JobWork, Unit, UnitResult, alone
 from farfield.jobs.worker import receive, send
@@ -232,6 +233,7 @@ def _start() -> "subprocess.Popen[bytes]":
         stdout=subprocess.PIPE,
         env=environment,
         start_new_session=True,
+        pass_fds=() if sys.platform == "win32" else handles(),
     )
 
 

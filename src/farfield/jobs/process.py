@@ -1,31 +1,62 @@
-"""SIGTERM unwinds the work as Ctrl-C does, so that nothing is left half-written and no process stays."""
+"""A command's process: ended by SIGTERM and by Ctrl-C, so that nothing is left half-written and no process stays."""
 
 import os
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import FrameType
 
 _received: list[int] = []
+_TORCH_FOLDERS = "torchinductor_*"
 
 
 @contextmanager
-def ended_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM end what runs meanwhile with exit status 143; only the main thread can."""
+def ended_by_signals() -> Iterator[None]:
+    """Let Ctrl-C end what runs meanwhile, and SIGTERM with exit status 143; only the main thread can.
+
+    What a signal raises may come out as another error: a library's code that was being run replaces it. That error is
+    not told.
+
+    Raises:
+        KeyboardInterrupt: After Ctrl-C.
+        SystemExit: After SIGTERM.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, _on_sigterm)
+    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, _on_signal)}
+    if callable(signal.getsignal(signal.SIGINT)):  # else it is ignored, as behind nohup
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, _on_signal)
     try:
         yield
+    except Exception:
+        check()
+        raise
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
         _received.clear()
 
 
-def _on_sigterm(number: int, frame: FrameType | None) -> None:
+@contextmanager
+def pythons_interrupt() -> Iterator[None]:
+    """Let Ctrl-C raise by Python's own handler meanwhile: only where it stands does asyncio end its tasks in order."""
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not _on_signal:
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, _on_signal)
+
+
+def _on_signal(number: int, frame: FrameType | None) -> None:
     del frame
     _received.append(number)
     check()
@@ -35,8 +66,11 @@ def check() -> None:
     """End where a signal came: what it raised is lost if it comes while an object is being cleared away.
 
     Raises:
-        SystemExit: With status 128 and the signal's number.
+        KeyboardInterrupt: After Ctrl-C.
+        SystemExit: After SIGTERM, with status 128 and the signal's number.
     """
+    if _received and _received[0] == signal.SIGINT:
+        raise KeyboardInterrupt
     if _received:
         raise SystemExit(128 + _received[0])
 
@@ -74,3 +108,23 @@ def one_thread() -> Iterator[None]:
             torch.set_num_threads(of_torch)
         if numba is not None:
             numba.set_num_threads(of_numba)
+
+
+@contextmanager
+def without_torch_folder() -> Iterator[None]:
+    """Remove the folder for compiled code that torch makes among the temporary files as it is imported, if it is empty.
+
+    One that was there before stays, as does one that something was compiled into.
+    """
+    try:
+        temporary = Path(tempfile.gettempdir())
+    except FileNotFoundError:  # no folder for temporary files can be written
+        yield
+        return
+    before = set(temporary.glob(_TORCH_FOLDERS))
+    try:
+        yield
+    finally:
+        for folder in set(temporary.glob(_TORCH_FOLDERS)) - before if "torch" in sys.modules else ():
+            with suppress(OSError):  # not empty, or somebody else's
+                folder.rmdir()

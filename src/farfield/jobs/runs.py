@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from farfield.errors import ConfigError
+from farfield.files.marks import Mark, mark_of
+from farfield.files.outputs import check_room
 from farfield.files.sizes import room, sized
-from farfield.jobs.folders import locked, sweep_out
-from farfield.jobs.journal import JobJournal, Mark, mark_of, state_of
+from farfield.jobs.folders import sweep_out
+from farfield.jobs.journal import JobJournal, state_of
 from farfield.jobs.process import check, one_thread
 from farfield.jobs.units import ENGINES, BulkError, FailedTask, JobWork, Unit, UnitResult, alone
+from farfield.vocabulary.counts import count_of
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
 """Passes through the numbers that it iterates over, one as each unit is done, and may show how far they are."""
@@ -88,6 +91,7 @@ class JobRun:
         journal: As of :func:`run`.
 
     Raises:
+        ConfigError: If the disk has no room for what the units that are left write (``disk_bytes`` of the work).
         BulkError: If the memory does not suffice; on leaving, if workers died twice over a unit.
     """
 
@@ -98,6 +102,8 @@ class JobRun:
         if journal is not None and journal.files:
             sweep_out(journal.folder)
         self.left = [row for row, unit in enumerate(units) if journal is None or not journal.has(unit)]
+        if journal is not None and journal.files and self.left:
+            check_room(journal.folder, len(self.left) * float(getattr(work, "disk_bytes", 0)))
         self.outcome = Outcome(skipped=len(units) - len(self.left))
         self._workers = bulk.num_workers(work, len(self.left))
         self._lost, self._source = list[tuple[str, str]](), ""
@@ -118,9 +124,11 @@ class JobRun:
         if self._iterating is not None:
             self._iterating.close()
         if self.journal is not None:
-            self.journal.commit()
-            if self.journal.files and self.left:  # a worker that was killed left what it was at
-                sweep_out(self.journal.folder)
+            try:
+                self.journal.commit()
+            finally:
+                if self.journal.files and self.left:  # a worker that was killed left what it was at
+                    sweep_out(self.journal.folder)
         if kind is None:
             _raise_for(self._lost, len(self.left))
             if self.journal is not None:
@@ -148,9 +156,8 @@ class JobRun:
                 if self.journal is None:
                     yield number
                 else:
-                    with locked(self.journal.folder, shared=True):
-                        self._source = state_of(self.unit(number).sources, self.journal.setting)
-                        yield number
+                    self._source = state_of(self.unit(number).sources, self.journal.setting)
+                    yield number
                 check()
 
     def _by_workers(self) -> Generator[int, None, None]:
@@ -174,7 +181,8 @@ def run(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE, *, journa
         work: What is done with each.
         units: The units.
         bulk: How.
-        journal: What was done before, in the folder that the files are written into; without one all units are done.
+        journal: What was done before, in the folder that the files are written into, which the caller holds
+            (:func:`farfield.jobs.folders.held`); without one all units are done.
 
     Returns:
         Counts and clocks; the values stand in the journal.
@@ -236,7 +244,8 @@ def _raise_for(failed: Sequence[tuple[str, str]], units: int) -> None:
     names = "; ".join(f"{name} ({why})" for name, why in failed[:_SHOWN])
     more = f" and {len(failed) - _SHOWN} more" if len(failed) > _SHOWN else ""
     raise BulkError(
-        f"{len(failed)} of {units} units could not be done, since their workers died twice: {names}{more}. All others "
+        f"{len(failed)} of {count_of(units, 'unit')} could not be done, since "
+        f"their workers died twice: {names}{more}. All others "
         "are done. Run the same command again to try these, with fewer --workers if memory is short."
     )
 
@@ -258,10 +267,9 @@ class _JournalledUnit:
         return alone(self.work)
 
     def __call__(self, unit: Unit) -> UnitResult:
-        with locked(self.folder, shared=True):
-            source = state_of(unit.sources, self.setting)
-            result = self.work(unit)
-            return replace(result, files=(), value=_entry(self.folder, source, result))
+        source = state_of(unit.sources, self.setting)
+        result = self.work(unit)
+        return replace(result, files=(), value=_entry(self.folder, source, result))
 
 
 def _entry(folder: Path, source: str, result: UnitResult) -> tuple[str, dict[str, Mark], Any]:

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import torch
 
 from farfield.detectors.inputs import Inputs
+from farfield.files.json_text import read_json
 from farfield.frame import Boxes
 from farfield.testing.detectors import arrays_of, built, made_frame
 from farfield.training.processes import average_gradients, average_values, synchronise_norms
@@ -151,7 +152,7 @@ def main(folder: str, rank: str) -> None:
     """Join the other process and take the step of each task; the first one writes them beside the tasks."""
     torch.set_num_threads(1)
     shared = Path(folder)
-    tasks = [StepTask(**task) for task in json.loads((shared / "tasks.json").read_text(encoding="utf-8"))]
+    tasks = [StepTask(**task) for task in read_json(shared / "tasks.json")]
     meeting = (shared / "meeting").as_uri()
     torch.distributed.init_process_group("gloo", init_method=meeting, rank=int(rank), world_size=PROCESSES)
     for number, task in enumerate(tasks):
