@@ -89,6 +89,15 @@ def shared_real() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def shared_open() -> Path:
+    """The folder of real sweeps that may be shipped, beside the project; tests that need it skip where it is absent."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "open"
+    if not folder.is_dir():
+        pytest.skip("no open data beside the project")
+    return folder
+
+
 def _made_once(home: Path, name: str, make: Callable[[Path], object]) -> Path:
     home.mkdir(exist_ok=True)
     with (home / f"{name}.lock").open("w") as lock:

@@ -23,14 +23,17 @@ PROMISED = Path(__file__).with_name("promised_lines.txt")
 SHARED = {
     *(
         "calibration real",
+        "captures odometry",
+        "captures ouster",
         "detectors real",
         "evaluation kradar",
         "evaluation labels",
         "evaluation dds",
         "privacy faces",
     ),
-    *("radar projection", "radar turning", "radar_detectors makes", "studio_checks tracks"),
-    *("tracking identities", "tracking tuning"),
+    *("radar projection", "radar turning", "radar_detectors makes", "roadside background", "studio_checks tracks"),
+    *("tracking identities", "tracking tuning", "vehicle_bodies boxes"),
+    *("real_road false", "real_road far", "real_road near"),
 }
 """Parts that need real data and are left out without them."""
 

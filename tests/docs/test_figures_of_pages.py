@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import shipped_figures
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -103,6 +104,22 @@ def test_real_rows_name_their_number_of_objects(title: str, number: int) -> None
         row for page in ("README.md", "docs/detectors.md") for row in rows_of(page) if row[0].startswith(title)
     ):
         assert f"{ {5: 'five'}.get(number, number) } vehicles" in row[0]
+
+
+def test_readmes_table_of_real_frames_is_what_its_command_writes() -> None:
+    """And a changed figure, number of objects or word on training in the results is noticed."""
+    readme, printed = (ROOT / "README.md").read_text("utf-8"), shipped_figures.section("detectors", "real")
+    assert shipped_figures.with_real_rows(readme, printed) == readme
+    for old, new in (
+        ("0.6068", "0.9068"),
+        ("] of 36", "] of 37"),
+        ("0.517] of", "0.617] of"),
+        ("nothing: simulated", "all 3 frames: simulated"),
+    ):
+        assert old in printed
+        assert shipped_figures.with_real_rows(readme, printed.replace(old, new, 1)) != readme
+    with pytest.raises(SystemExit, match="expected one place"):
+        shipped_figures.with_real_rows("no table", printed)
 
 
 @cache

@@ -227,6 +227,23 @@ def test_only_jobs_starts_workers() -> None:
     assert {name for name, text in sources().items() if words.search(text)} == known
 
 
+LOADERS = re.compile(
+    r"\bjson\.loads?\((?!json\.dumps\()|yaml\.(?:safe_)?(?:full_)?load|model_validate_json|\bSafeLoader\b|JSONDecoder"
+)
+WITH_LOADERS = {
+    "files/json_text.py": "the loader of all JSON",
+    "files/yaml_text.py": "the loader of all YAML",
+    "errors/wording.py": "reads what pip wrote, and stands beneath the loaders",
+    "studio/messages/requests.py": "finds the name of a message that is refused, whatever else it holds",
+}
+
+
+def test_one_loader_reads_all_json_and_one_all_yaml() -> None:
+    """Bounds, double keys and odd numbers are seen to once: nothing else parses a text, but its own just made."""
+    texts = sources()
+    assert {name for name, text in texts.items() if LOADERS.search(text)} == set(WITH_LOADERS)
+
+
 @pytest.mark.skipif(not (ROOT / ".git").exists() or shutil.which("git") is None, reason="not a git checkout")
 def test_no_machine_paths_in_tracked_files() -> None:
     machine = re.compile(r"(?<![\w.])/(?:work|home|root|Users)/\w|/tmp/\w|\.pyenv")

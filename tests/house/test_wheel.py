@@ -37,6 +37,11 @@ from farfield.studio.samples import open_samples
 samples = open_samples()
 assert samples.root.is_relative_to(home) and [len(frame.boxes) > 5 for frame in samples] == [True, True], "no samples"
 assert all(len(frame.cloud()) > 1000 and frame.images for frame in samples), "samples without clouds or pictures"
+sweeps = farfield.open_dataset("open-sweeps")
+assert sweeps.root.is_relative_to(home) and len(sweeps) == 12 and all(len(frame.boxes) > 5 for frame in sweeps)
+assert all(len(frame.cloud().points_m) > 20_000 for frame in sweeps), "sweeps without clouds"
+papers = ("README.md", "LICENSE-ouster", "LICENSE-velodyne")
+assert all((sweeps.root / name).is_file() for name in papers), "no licences"
 assert (files("farfield.studio") / "static" / "studio.js").is_file(), "no page of the studio"
 """
 
@@ -76,7 +81,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("wheel")
     tree = place / "tree"
     tree.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE", "MANIFEST.in", "CHANGELOG.md", "constraints.txt"):
+    for name in (
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "THIRD_PARTY.md",
+        "MANIFEST.in",
+        "CHANGELOG.md",
+        "constraints.txt",
+    ):
         shutil.copy(ROOT / name, tree / name)
     shutil.copytree(ROOT / "src", tree / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
     return _wheel(tree, place / "dist")

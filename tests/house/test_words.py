@@ -27,7 +27,9 @@ EXPLAINED = {
     "adaptation/base.py": "what every method of adaptation inherits",
     "datasets/base.py": "the Dataset that every reader inherits",
     "metrics/centre/settings.py": "the options of the scores by distance of centres",
+    "metrics/argoverse2/settings.py": "the options of Argoverse 2's metrics",
     "metrics/kradar/settings.py": "the options of K-Radar's average precision",
+    "metrics/waymo/settings.py": "the options of Waymo's metrics",
 }
 """Modules of such names that may stay, and what explains them."""
 

@@ -1,9 +1,11 @@
 """A small drive in memory, with every kind of product that K-Radar has."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from farfield.datasets.kradar import KRadarWriter
 from farfield.datasets.kradar.layout import os2_T_radar
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Sensor, camera_sensor
 from farfield.geometry.poses import pose_from_yaw
@@ -80,3 +82,12 @@ def frame(number: int, *, sequence: str = "1", lead: int = 32, weather: str = "l
         },
     }
     return Frame(**(content | rest))
+
+
+def write_kradar(root: Path) -> Path:
+    """Two frames of K-Radar on one of the authors' disks."""
+    writer = KRadarWriter(root / "dir_1to20", columns=512)
+    for number in (2, 3):
+        writer.write(frame(number))
+    writer.finish()
+    return root
