@@ -1,5 +1,7 @@
 """Clouds as drivers and tools write them, odd but good and wrong, for fuzz_readers.py: from the file to the Cloud."""
 
+import io
+import struct
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -47,7 +49,54 @@ def cloud_targets(folder: Path) -> Mapping[str, Recipe]:
             is_power,
             _files(folder, [_with(power, value) for value in (np.nan, np.inf, -1.0)], _npy),
         ),
+        "cloud npz": (".npz", read_one, _npz(good[0]), is_sound, ()),
+        "cloud ply": (".ply", read_one, (_ply(rows[0], "<"), _ply(rows[0], ">"), _ply(rows[0], "")), is_sound, ()),
+        "cloud las": (".las", read_one, (_las(rows[0]),), is_sound, ()),
     }
+
+
+def _npz(columns: dict[str, np.ndarray]) -> tuple[bytes, ...]:
+    made = []
+    for save in (np.savez, np.savez_compressed):
+        file = io.BytesIO()
+        save(file, **columns)
+        made.append(file.getvalue())
+    return tuple(made)
+
+
+def _ply(rows: np.ndarray, order: str) -> bytes:
+    """Rows of x, y, z, intensity, with faces of three and four corners behind them."""
+    encoding = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
+    head = ["ply", f"format {encoding} 1.0", f"element vertex {len(rows)}"]
+    head += [f"property float {name}" for name in ("x", "y", "z", "intensity")]
+    head += ["element face 4", "property list uchar int vertex_indices", "end_header", ""]
+    faces = [list(range(3 + number % 2)) for number in range(4)]
+    if order:
+        body = rows[:, :4].astype(order + "f4").tobytes()
+        body += b"".join(struct.pack(f"{order}B{len(face)}i", len(face), *face) for face in faces)
+    else:
+        lines = [" ".join(f"{value:.6f}" for value in row) for row in rows[:, :4]]
+        lines += [" ".join(map(str, [len(face), *face])) for face in faces]
+        body = "\n".join(lines).encode()
+    return "\n".join(head).encode() + body
+
+
+def _las(rows: np.ndarray) -> bytes:
+    """Version 1.2, point format 1, with a record of GeoTIFF's keys."""
+    keys = struct.pack("<4H", 1, 1, 0, 1) + struct.pack("<4H", 1024, 0, 1, 1) + struct.pack("<4H", 3076, 0, 1, 9001)
+    keys = struct.pack("<4H", 1, 1, 0, 2) + keys[8:]
+    record = struct.pack("<H16sHH32s", 0, b"LASF_Projection", 34735, len(keys), b"") + keys
+    whole = np.rint(rows[:, :3] * 1000).astype(int)
+    low, high = whole.min(axis=0) / 1000, whole.max(axis=0) / 1000
+    head = struct.pack("<4sHH16sBB32s32sHHHIIBHI", b"LASF", 0, 0, b"", 1, 2, b"", b"", 1, 2024, 227, 227 + len(record),
+                       1, 1, 28, len(rows))  # fmt: skip
+    head += struct.pack("<5I", len(rows), 0, 0, 0, 0) + struct.pack("<6d", 0.001, 0.001, 0.001, 0, 0, 0)
+    head += struct.pack("<6d", *np.column_stack([high, low]).ravel())
+    points = (
+        struct.pack("<iiiHBBbBHd", *place, round(255 * strength), 9, 0, 0, 0, 0, 10 + number * 1e-4)
+        for number, (place, strength) in enumerate(zip(whole.tolist(), rows[:, 3].tolist(), strict=True))
+    )
+    return head + record + b"".join(points)
 
 
 _OUSTER = {"t": "u4", "reflectivity": "u2", "ring": "u1", "ambient": "u2", "range": "u4"}

@@ -6,6 +6,7 @@ import json
 import math
 import pickle
 import re
+import struct
 import zlib
 from collections.abc import Callable, Mapping
 from fractions import Fraction
@@ -24,6 +25,7 @@ from farfield.datasets.kradar.labels import format_labels, read_labels
 from farfield.datasets.kradar.layout import INDEX_NAMES
 from farfield.datasets.kradar.reader import read_split_list
 from farfield.datasets.kradar.writer import read_record
+from farfield.datasets.ouster import Capture
 from farfield.errors import FileFormatError
 from farfield.files import astyx, mat, npy, radar_cells, radiate, view_of_delft
 from farfield.files.bags import Bag
@@ -33,6 +35,7 @@ from farfield.files.datumaro import format_datumaro, parse_datumaro
 from farfield.files.description import read_description
 from farfield.files.mat import open_mat
 from farfield.files.openlabel import format_openlabel, parse_openlabel
+from farfield.files.ouster import read_sensor
 from farfield.files.sensor_messages import read_points
 from farfield.files.stamps import read_stamps, recognise_stamps
 from farfield.files.supervisely import parse_supervisely
@@ -120,7 +123,7 @@ def radar_targets(folder: Path) -> dict[str, Recipe]:
         "radiate times": (
             ".txt",
             radiate.read_times,
-            (b"Frame: 000001 Time: 1574859771.744660272\n" * 3,),
+            (b"Frame: 000001 Time: 1574859771.744660272\nFrame: 000002 Time: 1574859771.977525228\n",),
             anything,
             (),
         ),
@@ -143,7 +146,7 @@ def read_in_blocks(path: Path) -> int:
 
 def read_both_ways(path: Path) -> object:
     """The tolerant reader and the fast one; they must agree."""
-    table = read_label_table([KRadarFiles(sequence="1", radar=33, lidar=1, label=path, version="v2.1")])
+    table = read_label_table([KRadarFiles(sequence="1", radar=33, lidar=1, label=path)])
     try:
         slow = read_labels(path)
     except FileFormatError:
@@ -182,9 +185,7 @@ def label_seeds(rng: np.random.Generator) -> tuple[bytes, ...]:
     indices = dict(zip(INDEX_NAMES, (33, 1, 2, 1, 4), strict=True))
     written = [format_labels(boxes, indices, 1_643_292_946_710_046_076, version=v) for v in ("v1.0", "v2.1")]
     merged = f"{_HEADER}*, 0, Sedan, {_LINE}\n*, 1, Bus or Truck, {_LINE}"
-    slips = (
-        f"{_HEADER} \n*, LL, 0, Sedan, {_LINE}\n*,R , 7,7, Pedestrian Group, {_LINE},\n#, 1, 1, Sedan, 1, 2, 3, 4, 5"
-    )
+    slips = f"{_HEADER} \n*, LL, 0, Sedan, {_LINE}\n*,R , 7, Pedestrian Group, {_LINE},\n#, 1, 1, Sedan, 1, 2, 3, 4, 5"
     return tuple(text.encode() for text in (*written, merged, slips, _HEADER))
 
 
@@ -297,6 +298,9 @@ def time_targets(folder: Path) -> dict[str, Recipe]:
         "stamps": (".txt", stamps, LISTS, whole_numbers, ()),
         "clock logs": (".log", read_clock_log, LOGS, len, ()),
     }
+    captures, metadata = capture_seeds()
+    found["captures"] = (".pcap", partial(read_capture, metadata[0]), captures, anything, ())
+    found["ouster metadata"] = (".json", read_sensor, metadata, anything, ())
     if find_spec("av") is not None:
         found["films"] = (".mp4", film_pictures, film_seeds(folder), finite_counts, ())
     if find_spec("rosbags") is not None:
@@ -407,6 +411,30 @@ SUPERVISELY = {
     "objects": [{"key": "k", "classTitle": "Car", "tags": [{"name": "parked", "value": True}]}],
     "figures": [{"key": "f", "objectKey": "k", "geometryType": "cuboid_3d", "geometry": GEOMETRY}],
 }
+
+
+def capture_seeds() -> tuple[tuple[bytes, ...], tuple[bytes, ...]]:
+    """Captures of an Ouster and metadata, each a whole turn of two beams."""
+    angles = {"beam_altitude_angles": [1.0, -1.0], "beam_azimuth_angles": [2.0, -2.0]}
+    transform = {"lidar_to_sensor_transform": [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 36, 0, 0, 0, 1]}
+    layout = {"columns_per_frame": 16, "columns_per_packet": 16, "udp_profile_lidar": "RNG15_RFL8_NIR8"}
+    described = json.dumps(angles | transform | {"lidar_origin_to_beam_origin_mm": 15.8, "data_format": layout})
+    columns = [struct.pack("<QHH", 10**9 + 10**6 * number, number, 1) + b"\x00\x05\x09\x01" * 2 for number in range(16)]
+    packet = b"\x01" + bytes(31) + b"".join(columns) + bytes(32)
+    datagram = struct.pack(">HHHH", 7502, 7502, 8 + len(packet), 0) + packet
+    head = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(datagram), 1, 0, 64, 17, 0, b"\x0a" * 4, b"\x0b" * 4)
+    frame = bytes(12) + b"\x08\x00" + head + datagram
+    record = struct.pack("<IIII", 5, 0, len(frame), len(frame)) + frame
+    capture = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, 1) + record
+    return (capture, capture + record), (described.encode(),)
+
+
+def read_capture(metadata: bytes, path: Path) -> int:
+    """Points of the first turn."""
+    described = path.with_name("sensor.json")
+    described.write_bytes(metadata)
+    capture = Capture.of(path, described)
+    return len(capture.cloud(0)) if capture.sweeps else 0
 
 
 def exchange_targets() -> Mapping[str, Parts]:

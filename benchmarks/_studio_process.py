@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from queue import Queue
 from typing import Any
 
@@ -36,14 +37,21 @@ class Started:
 
 
 @contextlib.contextmanager
-def started(verb: str, *arguments: str) -> Iterator[Started]:
+def started(verb: str, *arguments: str, log: Path | None = None) -> Iterator[Started]:
     """Run ``farfield view`` or ``annotate`` without a browser, and end it.
+
+    Args:
+        verb: The command.
+        arguments: Its own.
+        log: A file that gets what the terminal shows; None: it goes where the link is read.
 
     Raises:
         RuntimeError: If it ends without a link.
     """
     command = [sys.executable, "-m", "farfield.cli", verb, *arguments, "--no-browser"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+    with contextlib.ExitStack() as stack:
+        shown = subprocess.STDOUT if log is None else stack.enter_context(log.open("ab"))
+        process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=shown, text=True))
         try:
             yield _entered(process)
         finally:
@@ -125,14 +133,23 @@ class Client:
 
 
 @contextlib.contextmanager
-def window(live: Started) -> Iterator[Client]:
-    """Open a window."""
+def connected(live: Started, name: str) -> Iterator[ClientConnection]:
+    """A socket of which the studio knows the window's name, and has welcomed it."""
     where = f"ws{live.origin.removeprefix('http')}/socket"
     headers = {"Cookie": live.cookie}
-    with connect(where, origin=live.origin, additional_headers=headers, max_size=1 << 26) as socket:  # type: ignore[arg-type]
-        client = Client(socket, live)
-        client.ask({"op": "hello", "window": "bench"}, lambda reply: reply["op"] == "welcome")
-        yield client
+    options: dict[str, Any] = {"additional_headers": headers, "max_size": 1 << 26, "open_timeout": 60}
+    with connect(where, origin=live.origin, **options) as socket:  # type: ignore[arg-type]
+        socket.send(json.dumps({"op": "hello", "window": name}))
+        while json.loads(socket.recv(timeout=60))["op"] != "welcome":
+            pass
+        yield socket
+
+
+@contextlib.contextmanager
+def window(live: Started) -> Iterator[Client]:
+    """Open a window."""
+    with connected(live, "bench") as socket:
+        yield Client(socket, live)
 
 
 # A slow link for tests: a TCP proxy of 20 Mbit/s and 50 ms there and back, which slows WebSockets as well.

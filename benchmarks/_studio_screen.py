@@ -144,12 +144,16 @@ class Screen:
 
 
 @contextlib.contextmanager
-def screen(chromium: Any, live: Running, *, frame: int = 0, downloads: Path | None = None) -> Iterator[Screen]:
-    """Open a window of a running studio with the cookie of its printed link."""
+def screen(
+    chromium: Any, live: Running, *, frame: int = 0, downloads: Path | None = None, script: str = ""
+) -> Iterator[Screen]:
+    """Open a window of a running studio with the cookie of its printed link; a script runs before the page's own."""
     name, _, value = live.cookie.partition("=")
     context = chromium.new_context(viewport=SIZE, accept_downloads=downloads is not None)
     context.add_cookies([{"name": name, "value": value, "url": live.origin}])
     page = context.new_page()
+    if script:
+        page.add_init_script(script)
     shown = Screen(page, live.origin)
     try:
         page.goto(f"{live.origin}/?test=1&frame={frame}")
@@ -163,7 +167,7 @@ def screen(chromium: Any, live: Running, *, frame: int = 0, downloads: Path | No
 
 
 DRAG_M = {True: 3.0, False: 1.5}  # vehicles, and what is small
-_PIXELS_A_METRE = {True: 24.0, False: 60.0}
+PIXELS_A_METRE = {True: 24.0, False: 60.0}
 HAND_PX, CLOSE_PX = 1.0, 60
 _EDGE_PX, _STEPS = 100, 200
 
@@ -202,6 +206,7 @@ class Hand:
             if inside and 1 <= near < 2:
                 page.settled()
                 return at
+            self._uncover(at if inside else middle)
             page.page.mouse.move(*(at if inside else middle))
             before = page.tell("stage.eye.distance")
             if (
@@ -233,7 +238,7 @@ class Hand:
         start = pressed(subject, rng, self.error_m)
         yaw = float(subject.box.yaw_rad[0]) + math.radians(rng.normal(0, self.error_deg))
         end = start + DRAG_M[subject.vehicle] * np.array([math.cos(yaw), math.sin(yaw)])
-        self.bring([*((start + end) / 2), z], _PIXELS_A_METRE[subject.vehicle])
+        self.bring([*((start + end) / 2), z], PIXELS_A_METRE[subject.vehicle])
         page.press("n")
         return self._fitted(lambda: page.drag(self._pixel([*start, z]), self._pixel([*end, z])))
 
@@ -271,9 +276,26 @@ class Hand:
 
     def peak(self, place: Sequence[float]) -> dict[str, Any] | None:
         """Double click on the radar's map."""
-        self.bring([*place[:2], 0.0], _PIXELS_A_METRE[True])
+        self.bring([*place[:2], 0.0], PIXELS_A_METRE[True])
         at = self._pixel([*place[:2], 0.0])
         return self._fitted(lambda: self.page.page.mouse.dblclick(*at))
+
+    def raised(self, subject: Subject, rng: np.random.Generator, error_px: float) -> dict[str, Any] | None:
+        """Drag bottom and top of the selected box in the radar's close-up to pixels beside the object's."""
+        page = self.page
+        button = page.page.locator("button[name='large radar']")
+        button.click()
+        page.settled()
+        for side in (-1, 1):
+            x, y, z, *_, height, _ = page.selected["box"]
+            target = float(subject.box.centre_m[0, 2] + side * subject.box.size_m[0, 2] / 2)
+            start = page.tell(f"closeUp('radar', {[x, y, z + side * height / 2]})")
+            end = page.tell(f"closeUp('radar', {[x, y, target]})")
+            page.drag((start[0], start[1]), (end[0], end[1] + rng.normal(0, error_px)))
+            page.settled()
+        button.click()
+        page.settled()
+        return page.selected
 
     def locked(self, box: Sequence[float], track: int) -> None:
         """Select an object that is annotated and lock its size.
@@ -283,14 +305,21 @@ class Hand:
         """
         page = self.page
         page.press("Escape", "Escape")
-        page.page.mouse.click(*self.bring(box[:3], _PIXELS_A_METRE[True]))
+        page.page.mouse.click(*self.bring(box[:3], PIXELS_A_METRE[True]))
         page.until(f"state.carried?.track === {track}")
         page.press("Control+l")
         page.until(f"state.tracks.get({track}).size_locked === true && farfieldTest.state.pending === 0")
 
     def _pixel(self, place: Sequence[float]) -> tuple[int, int]:
         x, y = self.page.pixel(place)
+        self._uncover((x, y))
         return round(x), round(y)
+
+    def _uncover(self, at: tuple[float, float]) -> None:
+        """Close the bars that lie over a pixel, as a person does who wants to work there."""
+        over = f"document.elementFromPoint({at[0]}, {at[1]})?.closest('#bars .bar')"
+        while self.page.page.evaluate(f"!!{over}"):
+            self.page.page.evaluate(f"{over}.querySelector('button[title=Close]').click()")
 
     def _fitted(self, gesture: Any) -> dict[str, Any] | None:
         page = self.page

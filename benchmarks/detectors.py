@@ -5,7 +5,7 @@ import json
 import platform
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -21,13 +21,16 @@ from farfield.api import load_detector, open_dataset
 from farfield.datasets.base import Dataset
 from farfield.detectors.weights import bundled_weights, resolve_weights
 from farfield.evaluation import detect, median_ms
+from farfield.evaluation.leakage import seen_in_training
 from farfield.figures.birds_eye import birdseye, fitting_window
 from farfield.files.atomic import write_text
 from farfield.frame import Boxes, Frame
 from farfield.frame.provenance import processor
 from farfield.geometry.boxes import count_points_in_boxes
 from farfield.metrics import score
+from farfield.metrics.bootstrap import percentile_interval
 from farfield.metrics.centre import DdsSettings, ObjectIntervals, object_intervals
+from farfield.metrics.deciding import ScoreSample, figure, samples
 from farfield.simulation.recording import record
 
 SPLIT = "cirrus-sim-val-v2"
@@ -40,12 +43,12 @@ DEFAULT_RUNS = [
 ]
 
 
-def frozen_split(folder: Path, frames: int | None = None) -> Dataset:
-    """The frozen validation split, or its first frames, simulated where its folder is absent."""
+def frozen_split(folder: Path, frames: int | None = None, name: str = SPLIT) -> Dataset:
+    """A validation split, or its first frames, simulated where its folder is absent."""
     if not folder.exists():
         bar = partial(progress, what="simulating")
         some = {} if frames is None else {"frames": frames, "sequences": 1}
-        record(SPLIT, folder, cache=frames is None, progress=bar, report=partial(print, file=sys.stderr), **some)
+        record(name, folder, cache=frames is None, progress=bar, report=partial(print, file=sys.stderr), **some)
     data = open_dataset(folder)
     return data if frames is None else data.select(range(frames))
 
@@ -229,12 +232,60 @@ def run_simulated(arguments: Sequence[str]) -> None:
         options.json.write_text(json.dumps(found, indent=1))
 
 
+def run_splits(arguments: Sequence[str]) -> None:
+    """Detectors on the validation splits of both worlds, each with the difference from the first detector named.
+
+        python benchmarks/detectors.py splits [--models BEFORE AFTER] [--splits NAME ...] [--frames N]
+
+    The difference is paired: both detectors see the same frames, and its 95 % interval draws whole sequences. The near
+    score is that of 0-70 m. Splits are simulated into ``data/NAME`` where they are absent.
+    """
+    parser = part_parser(run_splits.__doc__)
+    parser.add_argument("--models", nargs="+", default=["pointpillars-cirrus-sim"])
+    parser.add_argument("--splits", nargs="+", default=[SPLIT, "cirrus-sim-val-v3"])
+    parser.add_argument("--folder", type=Path, default=ROOT / "data", help="where the splits lie")
+    parser.add_argument("--frames", type=int, help="of each split, in place of all")
+    options = parser.parse_args(arguments)
+    for split in options.splits:
+        data = frozen_split(options.folder / split, options.frames, split)
+        print(f"\n{split}: {len(data)} frames, fingerprint {data.fingerprint()[:16]}, DDS by range, difference [95 %]")
+        print(f"  {'':<32} {'cloud':<10}" + "".join(f"{part:<32}" for part in BUDGET_RANGES))
+        for cloud in CLOUDS:
+            before: dict[str, ScoreSample] = {}
+            for model in options.models:
+                detections = detect(load_detector(model), data, cloud=cloud, annotated_only=True)
+                parts = {part: figure("dds/0/dds", part) for part in BUDGET_RANGES}
+                by_part = samples(detections, parts, replicates=200, epsilons=(0.0,))
+                before = before or by_part
+                cells = "".join(f"{score_cell(one, before[part]):<32}" for part, one in by_part.items())
+                print(f"  {Path(model).name:<32} {cloud:<10}{cells}", flush=True)
+
+
+def score_cell(after: ScoreSample, before: ScoreSample) -> str:
+    """A score, and its difference from another one of the same frames."""
+    if after.value is None or before.value is None:
+        return "-"
+    if after is before:
+        return f"{after.value:.3f}"
+    span = percentile_interval(after.draws - before.draws, 0.95)
+    shown = "" if span is None else f" [{span[0]:+.3f}, {span[1]:+.3f}]"
+    return f"{after.value:.3f} {after.value - before.value:+.3f}{shown}"
+
+
 REAL_RANGES = ("0-70", "70-150", "150-250")
 HEAD = (
     f"  {'':<32} AP within 70 m at         DDS                           wDDS .006                     DDS overall,\n"
     f"  {'detector':<32} 0.5   1     2     4       0-70   70-150 150-   overall  0-70   70-150 150-   overall  "
     "over frames     over objects"
 )
+KITTI_RUN = ("002364", "003638", "002352", "002335")
+"""Four sweeps of KITTI's object set that follow each other in one drive, a tenth of a second apart."""
+KITTI_DRIVES = {
+    **dict.fromkeys(("000000", "000011"), "0106"),
+    **dict.fromkeys(("000001", "000004"), "0101"),
+    **dict.fromkeys(KITTI_RUN, "0001"),
+}
+"""Drives of several of KITTI's frames, whose set shuffles them; each other frame is of a drive of its own."""
 SAME_M = 3.0  # a tenth of a second at 30 m/s
 
 
@@ -254,10 +305,12 @@ def identified(frames: list[Frame], annotations: dict[Any, Boxes]) -> dict[Any, 
     """The annotated boxes with identities: those of boxes that are nearest to each other from sweep to sweep."""
     found: dict[Any, Boxes] = {}
     following, before = 0, None
-    for frame in frames:
+    in_a_row = {name: place for place, name in enumerate(KITTI_RUN)}
+    for frame in sorted(frames, key=lambda frame: in_a_row.get(frame.frame_id, -1)):
         boxes = annotations[frame.key]
         ids = np.full(len(boxes), -1)
-        last = found.get(before) if before is not None and before[0] == frame.key[0] and frame.time_ns else None
+        follows = bool(frame.time_ns) or in_a_row.get(frame.frame_id, 0) > 0
+        last = found.get(before) if follows and before is not None and before[0] == frame.key[0] else None
         if last is not None and len(last) and len(boxes):
             apart_m = np.linalg.norm(boxes.centre_m[:, None] - last.centre_m[None], axis=2)
             apart_m[np.asarray(boxes.label)[:, None] != np.asarray(last.label)[None]] = np.inf
@@ -271,6 +324,19 @@ def identified(frames: list[Frame], annotations: dict[Any, Boxes]) -> dict[Any, 
         following += int(new.sum())
         found[frame.key], before = boxes.replace(track_id=ids), frame.key
     return found
+
+
+def scene_of(frame: Frame) -> str:
+    """The scene that a frame shows: its drive where sweeps have times, else the frame itself."""
+    return frame.sequence if frame.time_ns else KITTI_DRIVES.get(frame.frame_id, f"{frame.sequence} {frame.frame_id}")
+
+
+def learnt_from(data: Dataset, provenance: Mapping[str, Any]) -> str:
+    """What a detector saw of some frames in training: nothing where all it learnt from was simulated."""
+    simulate = provenance.get("experiment", {}).get("data", {}).get("simulate")
+    if simulate and not provenance.get("start") and not provenance.get("adapted"):
+        return f"nothing: simulated frames only ({simulate['preset']})"
+    return seen_in_training(data, provenance, set(data.keys))[0]
 
 
 def runs_of(real: Path) -> dict[str, tuple[Dataset, bool, tuple[str, ...]]]:
@@ -363,6 +429,9 @@ def run_real(arguments: Sequence[str]) -> None:
             names = ["vehicle", "large_vehicle"] if label == "vehicle" else [label]
             annotated = sum(int(np.isin(boxes.label, names).sum()) for boxes in annotations.values())
             print(f"\n{title}: {len(frames)} frames, {annotated} annotated of class {label}, any distance")
+            print(f" scenes: {len({scene_of(frame) for frame in frames})}")
+            for name, detector in detectors.items():
+                print(f" seen in training, {Path(name).name}: {learnt_from(data, detector.info.provenance)}")
             for least in (0, 5):
                 print(f" with {least} points or more" if least else " all, hidden ones too")
                 print(HEAD)
@@ -431,6 +500,10 @@ if __name__ == "__main__":
             {
                 "budget": Part(run_budget, "--runs pointpillars-cirrus-sim --data TMP/val --frames 2 --kept TMP"),
                 "simulated": Part(run_simulated, "TMP/val --frames 2"),
+                "splits": Part(
+                    run_splits,
+                    "--folder TMP/splits --frames 2 --models pointpillars-cirrus-sim sparsecentre-cirrus-sim",
+                ),
                 "real": Part(run_real, "--only 'View-of-Delft'"),
                 "far": Part(run_far, "--data TMP/val --trained plain=pointpillars-cirrus-sim"),
             },

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,9 @@ from typing import Any
 import numpy as np
 from _fuzz_clouds import cloud_targets
 from _fuzz_formats import exchange_targets, radar_targets, time_targets
+from _fuzz_forms import forms
+from _fuzz_hostile import attempt, hostile_files
+from _fuzz_sets import set_targets
 from _fuzz_weights import weights_targets
 from _report import Part, part_parser, run_parts
 from PIL import Image
@@ -44,6 +47,7 @@ class Target:
     valid: Callable[[Any], bool] = lambda found: len(found) >= 0
     large: tuple[bytes, ...] = ()
     hostile: tuple[bytes, ...] = ()
+    grown: Callable[[np.random.Generator], bytes] | None = None  # a file that is changed in its structure
 
 
 @dataclass
@@ -90,6 +94,9 @@ def damaged_files(rng: np.random.Generator, target: Target, count: int) -> Itera
     whole = [("none", seed) for seed in target.seeds + target.large] + [("hostile", seed) for seed in target.hostile]
     yield from whole[:count]
     for index in range(count - len(whole)):
+        if target.grown is not None and index % 4:
+            yield "grown", target.grown(rng)
+            continue
         kind = MUTATIONS[index % len(MUTATIONS)]
         seeds = target.seeds + target.hostile
         data = mutate(rng, target.large if target.large and rng.random() < LARGE_SHARE else seeds, kind)
@@ -164,7 +171,7 @@ def targets(folder: Path) -> dict[str, Target]:
     detection = "0,2,296.7,161.8,452.3,292.9,12.2,1.51,1.69,4.09,-5.85,1.77,13.02,-1.6,-1.2"
     table = "sequence,frame,label,x,y,z,l,w,h,yaw_rad,score\n" + "a,000001,vehicle,1.5,2,3,4,2,1.5,-0.3,0.9\n" * 8
     more = exchange_targets() | radar_targets(folder) | time_targets(folder)
-    more |= cloud_targets(folder) | weights_targets(folder)
+    more |= cloud_targets(folder) | set_targets() | weights_targets(folder)
     return {
         "xyz": Target(".xyz", xyz.read_xyz, xyz_seeds(folder, rows), finite_rows, xyz_seeds(folder, many)),
         "pcd": Target(".pcd", pcd.read_pcd, pcd_seeds(folder, rows), equal_lengths, pcd_seeds(folder, many)),
@@ -183,6 +190,19 @@ def targets(folder: Path) -> dict[str, Target]:
             name: Target(suffix, read, seeds, valid, hostile=hostile)
             for name, (suffix, read, seeds, valid, hostile) in more.items()
         },
+    }
+
+
+def form_targets(folder: Path) -> dict[str, Target]:
+    """Every form of settings, records, journals and bags, changed in their structure where that is more than bytes."""
+    made = {
+        name: Target(form.suffix, form.read, form.seeds, lambda _: True, hostile=form.hostile, grown=form.grown)
+        for name, form in forms(folder).items()
+    }
+    bags = {name: parts for name, parts in time_targets(folder).items() if name.startswith("bag")}
+    return made | {
+        f"form of {name}": Target(suffix, read, seeds, valid, hostile=hostile)
+        for name, (suffix, read, seeds, valid, hostile) in bags.items()
     }
 
 
@@ -263,7 +283,8 @@ def cirrus_seeds(rng: np.random.Generator) -> tuple[bytes, ...]:
 def worker(name: str, count: int, folder: str, sender: Any) -> None:
     """Fuzz one reader with an address space that may grow by 1 GB from here."""
     place = Path(folder)
-    target = targets(place)[name]
+    made = form_targets(place)
+    target = made[name] if name in made else targets(place)[name]
     target.read(write_seed(place, target))  # imports and tables that come with the first use
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES, used + LIMIT_BYTES))
@@ -279,7 +300,7 @@ def write_seed(folder: Path, target: Target) -> Path:
 def fuzz_in_process(name: str, count: int, keep: Path) -> Tally:
     receiver, sender = multiprocessing.Pipe(duplex=False)
     with tempfile.TemporaryDirectory() as folder:
-        process = multiprocessing.get_context("spawn").Process(target=worker, args=(name, count, folder, sender))
+        process = multiprocessing.get_context("forkserver").Process(target=worker, args=(name, count, folder, sender))
         process.start()
         sender.close()
         try:
@@ -305,13 +326,31 @@ def run_fuzz(arguments: Sequence[str]) -> int:
     status 1 where anything but a FarfieldError came out, a file took more than 2 s of processor time, memory ran out,
     or a pickle was loaded.
     """
-    parser = part_parser(run_fuzz.__doc__)
-    parser.add_argument("--files", type=int, default=20_000)
+    return _run(run_fuzz.__doc__, arguments, targets, 20_000)
+
+
+def run_forms(arguments: Sequence[str]) -> int:
+    """Change settings, records and journals in their structure: each must give a clear error or a valid result.
+
+        python benchmarks/fuzz_readers.py forms [--files 500] [--only edits "yaml experiment"]
+
+    YAML, JSON, weights, checkpoints, edits, journals and bags. Values become other kinds of values, keys go or are
+    called otherwise, groups are doubled or buried, checksums are right; one file in four is damaged by bytes instead.
+    Limits and exit status are those of the part ``fuzz``.
+    """
+    return _run(run_forms.__doc__, arguments, form_targets, 500)
+
+
+def _run(
+    documentation: str | None, arguments: Sequence[str], made: Callable[[Path], Mapping[str, Target]], files: int
+) -> int:
+    parser = part_parser(documentation)
+    parser.add_argument("--files", type=int, default=files)
     parser.add_argument("--only", nargs="+", help="names of readers")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "farfield-fuzz")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        names = [name for name in targets(Path(folder)) if options.only is None or name in options.only]
+        names = [name for name in made(Path(folder)) if options.only is None or name in options.only]
     print(f"{'reader':20}{'files':>8}{'errors':>8}{'results':>8}{'slowest':>12}{'memory':>10}  faults")
     failed = False
     for name in names:
@@ -325,12 +364,37 @@ def run_fuzz(arguments: Sequence[str]) -> int:
     return int(failed)
 
 
+def run_hostile(arguments: Sequence[str]) -> int:
+    """Read hostile files of every kind, each in a process of its own: memory, time and what came of it.
+
+        python benchmarks/fuzz_readers.py hostile [--only mcap png]
+
+    Memory is what comes on top of the process before and of the data that was asked for, time that of the processor.
+    Exit status 1 where a file was neither refused nor may be read, took 1 GB or 20 s.
+    """
+    parser = part_parser(run_hostile.__doc__)
+    parser.add_argument("--only", nargs="+", help="parts of names")
+    options = parser.parse_args(arguments)
+    held = True
+    for name, attack in hostile_files().items():
+        if options.only is not None and not any(part in name for part in options.only):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            outcome = attempt(attack, Path(folder))
+        held &= outcome.held
+        figures = f"{outcome.disk_bytes / 1e6:8.2f} MB on disk{outcome.peak_bytes / 1e6:7.0f} MB{outcome.time_s:7.2f} s"
+        print(f"{name:58}{figures}  {'' if outcome.held else 'MISSED '}{outcome.words[:100]}", flush=True)
+    return int(not held)
+
+
 if __name__ == "__main__":
     raise SystemExit(
         run_parts(
             __doc__,
             {
                 "fuzz": Part(run_fuzz, "--files 50 --only xyz 'kradar labels' openlabel", exact=True),
+                "forms": Part(run_forms, "--files 40", exact=True),
+                "hostile": Part(run_hostile, "--only 'radar store, a soft'"),
             },
         )
     )

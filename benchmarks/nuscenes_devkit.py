@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import _nuscenes_task
 import numpy as np
 
 REQUIREMENTS = ("nuscenes-devkit==1.2.0", "motmetrics==1.4.0", "pandas<3", "numpy<2")
@@ -440,7 +441,20 @@ def tracking_compare(name: str, found: Any, label: str, kit: Path | None) -> int
     return int(worst >= 1e-6)
 
 
-WORKERS = {"devkit": detection_run_devkit, "farfield": run_farfield, "tracking": tracking_run_devkit}
+def run_task(arguments: Sequence[str]) -> int:
+    """Compare nuscenes-detection (all classes, five errors, NDS), boxes, points and written trees with the devkit.
+
+    python benchmarks/nuscenes_devkit.py task [--env FOLDER]
+    """
+    return _nuscenes_task.run_task(arguments, kit_python, worker_output, ENVIRONMENT)
+
+
+WORKERS = {
+    "devkit": detection_run_devkit,
+    "farfield": run_farfield,
+    "tracking": tracking_run_devkit,
+    "task": _nuscenes_task.run_kit,
+}
 
 
 if __name__ == "__main__":
@@ -452,5 +466,6 @@ if __name__ == "__main__":
         parts = {
             "detection": Part(run_detection, "--without-kit --repeats 1 --frames 20"),
             "tracking": Part(run_tracking, "--without-kit --random"),
+            "task": Part(run_task, "--without-kit --samples 6"),
         }
         raise SystemExit(run_parts(__doc__, parts))

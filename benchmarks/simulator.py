@@ -6,15 +6,18 @@ import os
 import resource
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from _report import Part, child_output, part_parser, run_parts
+from _report import Part, child_output, load_printed, part_parser, run_parts
 
 from farfield.frame import Frame
 from farfield.geometry.poses import pose, pose_from_yaw
+from farfield.inspection.statistics.background import BackgroundTally
 from farfield.simulation import find_preset, simulate_frame
+from farfield.simulation.bodies.actors import Actor
 from farfield.simulation.camera.mounts import rig_cameras
 from farfield.simulation.camera.render import render
 from farfield.simulation.lidar.model import LUMINAR_H2, OS1_128, OS2_64, LidarModel, detection_probability, signal
@@ -25,11 +28,19 @@ from farfield.simulation.rigs.drive import drive_of
 from farfield.simulation.rigs.kradar import KRadarFrame
 from farfield.simulation.weather.conditions import draw_weather
 from farfield.simulation.world.scene import ROADS, SceneWindow, WorldScene
-from farfield.vocabulary.conditions import WEATHERS
+from farfield.vocabulary.conditions import WEATHERS, WORLDS
+from farfield.vocabulary.patterns import PATTERNS
 
 VEHICLES = ("vehicle", "large_vehicle")
 BINS_M = ((0, 30), (30, 70), (70, 100), (100, 150), (150, 200), (200, 250), (250, 350))
 SPEED_LIMIT_S = 0.5
+
+
+def read_all(frame: Frame) -> None:
+    """Read clouds, pictures, radar products and labels of a frame: each is simulated when it is first read."""
+    products = [product for sensors in (frame.clouds, frame.images, frame.radar) for product in sensors.values()]
+    assert all(product is not None for product in products)
+    assert frame.boxes is not None
 
 
 def frames_and_times(sequences: int, frames: int) -> tuple[list[Frame], list[float], list[float]]:
@@ -39,8 +50,8 @@ def frames_and_times(sequences: int, frames: int) -> tuple[list[Frame], list[flo
     for sequence in range(sequences):
         for index in range(frames):
             start = time.perf_counter()
-            frame = simulate_frame(preset, seed=99, sequence=sequence, index=index)
-            assert all(len(cloud) for cloud in frame.clouds.values())  # simulated when it is read
+            frame = simulate_frame(preset, seed=99, sequence=sequence, index=index, sensors=PATTERNS)
+            read_all(frame)
             (later if index else first).append(time.perf_counter() - start)
             made.append(frame)
     return made, first, later
@@ -118,7 +129,8 @@ def run_frames(arguments: Sequence[str]) -> int:
     table, slopes = by_range(frames)
     text = "\n".join(
         [
-            f"frame, both patterns, one process: median {median:.3f} s, 90 % under {np.percentile(later, 90):.3f} s",
+            f"frame, both patterns with labels, one process: median {median:.3f} s, "
+            f"90 % under {np.percentile(later, 90):.3f} s",
             f"first frame of a sequence, its world included: median {np.median(first):.3f} s",
             f"returns of 60,032 shots: Gaussian {points['gaussian']:.0f}, uniform {points['uniform']:.0f}",
             "probability of detection, dropout included:",
@@ -324,6 +336,49 @@ def run_writing(arguments: Sequence[str]) -> int:
     return int(late)
 
 
+def run_worlds(arguments: Sequence[str]) -> int:
+    """What a world's content costs: the same frames of each world in turns, every product of a frame read.
+
+        python benchmarks/simulator.py worlds [--sequences 4] [--frames 4]
+
+    A Cirrus frame is both patterns, labels and picture; a K-Radar frame both Ousters, cube, sparse cloud, picture and
+    labels. One process; nothing is written. A new world is what the first frame of a sequence takes more than its
+    others. Exit status 1 where a world takes more than 1.1 times as long as the first one named.
+    """
+    parser = part_parser(run_worlds.__doc__)
+    parser.add_argument("--sequences", type=int, default=4)
+    parser.add_argument("--frames", type=int, default=4)
+    parser.add_argument("--presets", nargs="+", choices=LIMITS, default=list(LIMITS))
+    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=list(WORLDS))
+    options = parser.parse_args(arguments)
+    with load_printed():
+        shares = [share for preset in options.presets for share in time_worlds(preset, options)]
+    return int(max(shares) > 1.1)
+
+
+def time_worlds(preset: str, options: argparse.Namespace) -> list[float]:
+    """Print the seconds of each world's frames; what their medians are of the first world's."""
+    read_all(simulate_frame(preset, sequence=0, index=0))  # compiles what is not compiled yet
+    table = {world: np.zeros((options.sequences, options.frames)) for world in options.worlds}
+    for sequence, index in np.ndindex(options.sequences, options.frames):
+        for world, seconds_of in table.items():
+            start = time.perf_counter()
+            read_all(simulate_frame(preset, seed=99, sequence=sequence, index=index, world=world))
+            seconds_of[sequence, index] = time.perf_counter() - start
+    medians = {world: float(np.median(seconds_of[:, 1:])) for world, seconds_of in table.items()}
+    shares = {world: median / medians[options.worlds[0]] for world, median in medians.items()}
+    for world, seconds_of in table.items():
+        later = seconds_of[:, 1:]
+        new = seconds_of[:, 0] - np.median(later, axis=1)
+        print(
+            f"{preset:<11} {world}: median {medians[world]:.3f} s a frame, slowest {later.max():.3f} s, "
+            f"a new world {np.median(new):.2f} s more (at most {new.max():.2f} s); "
+            f"{shares[world]:.2f} of {options.worlds[0]}",
+            flush=True,
+        )
+    return list(shares.values())
+
+
 LEAST_RATIO = 0.8
 EGO_T_SENSOR = pose_from_yaw(0.0, (0.0, 0.0, 1.9))
 
@@ -398,6 +453,107 @@ def run_rays(arguments: Sequence[str]) -> int:
     return int(worst < LEAST_RATIO)
 
 
+CLUTTER_BAND = (2.0, 6.0)
+LEAST_SEQUENCES = 8
+PARKED_TO_MOVING = 330_133 / 114_304
+NUSCENES_REACH_M = 70.0  # usable returns of its LiDAR
+KINDS = ("car", "van", "large", "trailer", "motorcycle")
+
+
+def kind_of(actor: Actor) -> str | None:
+    """A vehicle's kind among ``KINDS``; None for people and animals."""
+    kind = {"vehicle": "car", "large_vehicle": "large"}.get(actor.label, actor.label)
+    kind = "van" if actor.kind == "van" else kind
+    return kind if kind in KINDS else None
+
+
+class WorldTally:
+    """What the sensors meet in one world: patches and clusters beside the road, vehicles by kind, seconds a frame."""
+
+    def __init__(self, world: str, road: str | None) -> None:
+        changes = {} if road is None else {"road": road}
+        self.preset = find_preset("cirrus-sim-urban", world=world, duration_s=20.0, **changes)
+        self.roadside = {name: BackgroundTally() for name in ("gaussian", "uniform")}
+        self.vehicles: Counter[tuple[str, str]] = Counter()
+        self.seconds: list[float] = []
+
+    def look(self, sequence: int, index: int) -> None:
+        """Simulate a frame and count."""
+        start = time.process_time()
+        frame = simulate_frame(self.preset, seed=901, sequence=sequence, index=index)
+        points_m = {name: frame.clouds[name].points_m for name in self.roadside}
+        boxes, moving = frame.annotation.boxes, frame.annotation.moving
+        frame.images["camera"]
+        self.seconds.append(time.process_time() - start)
+        for name, tally in self.roadside.items():
+            tally.add(points_m[name], boxes, str(sequence))
+        scene = drive_of(self.preset, 901, sequence).scene
+        near = boxes.range_m < NUSCENES_REACH_M
+        for track, moves in zip(boxes.track_id[near], moving[near], strict=True):
+            row = scene.row_of(int(track))
+            state = "parked" if scene.motion.travelled_m(row, scene.duration_s) < 0.5 else "stopped"
+            if kind := kind_of(scene.actors[row]):
+                self.vehicles[kind, "moving" if moves else state] += 1
+
+    @property
+    def parked_to_moving(self) -> float:
+        """Parked vehicles for one that moves, in the frames, as far as nuScenes' LiDAR sees."""
+        parked, moving = (sum(self.vehicles[kind, state] for kind in KINDS) for state in ("parked", "moving"))
+        return parked / max(moving, 1)
+
+    def lines(self, frames: int) -> list[str]:
+        """Figures in words."""
+        out = []
+        for name, tally in self.roadside.items():
+            figures = {key: value["value"] for key, value in tally.summary().items() if key != "samples"}
+            out.append(
+                f"{self.preset.world} {name:8s}  C {figures['clusters']:.2f}  T {100 * figures['thickness_m']:.1f} cm  "
+                f"S {figures['scatter']:.2f}  S_all {figures['scatter_of_all']:.3f}"
+            )
+        for state in ("parked", "stopped", "moving"):
+            total = sum(self.vehicles[kind, state] for kind in KINDS)
+            shares = "  ".join(f"{kind} {self.vehicles[kind, state] / max(total, 1):.3f}" for kind in KINDS)
+            out.append(f"{self.preset.world} {state:8s}  {total} vehicles: {shares}")
+        later = [value for row, value in enumerate(self.seconds) if row % frames]
+        out.append(
+            f"{self.preset.world} parked to moving {self.parked_to_moving:.2f} (nuScenes {PARKED_TO_MOVING:.2f})"
+        )
+        first = np.median(self.seconds[::frames])
+        out.append(
+            f"{self.preset.world} seconds of processor a frame, pair, labels and picture: "
+            f"{np.median(later or self.seconds):.2f}, the first of a sequence {first:.2f}"
+        )
+        return out
+
+
+def run_clutter(arguments: Sequence[str]) -> int:
+    """What stands beside the road in worlds v2 and v3, frame by frame in turn: clutter of car size, parked vehicles.
+
+        python benchmarks/simulator.py clutter [--sequences 8] [--frames 3] [--road urban]
+
+    C, T, S and S_all are the statistics of ``farfield compare``, medians and means over sectors. Vehicles are annotated
+    ones within 70 m, the reach of nuScenes' LiDAR; parked ones stand throughout their sequence. Exit status 1 where,
+    over at least eight sequences, world v3 has a C outside 2 to 6, or parked vehicles for one that moves that differ
+    from nuScenes' cars by more than a fifth.
+    """
+    parser = part_parser(run_clutter.__doc__)
+    parser.add_argument("--sequences", type=int, default=8)
+    parser.add_argument("--frames", type=int, default=3)
+    parser.add_argument("--road", choices=ROADS)
+    options = parser.parse_args(arguments)
+    worlds = [WorldTally(world, options.road) for world in WORLDS]
+    for sequence in range(options.sequences):
+        for index in range(options.frames):
+            for world in worlds:
+                world.look(sequence, 10 * index)
+    for world in worlds:
+        print("\n".join(world.lines(options.frames)))
+    summaries = [tally.summary()["clusters"]["value"] for tally in worlds[-1].roadside.values()]
+    held = all(CLUTTER_BAND[0] <= value <= CLUTTER_BAND[1] for value in summaries)
+    held &= abs(worlds[-1].parked_to_moving / PARKED_TO_MOVING - 1) <= 0.2 or options.road is not None
+    return int(options.sequences >= LEAST_SEQUENCES and not held)
+
+
 if __name__ == "__main__":
     raise SystemExit(
         run_parts(
@@ -407,7 +563,9 @@ if __name__ == "__main__":
                 "camera": Part(run_camera, "--repeats 1 --roads highway"),
                 "weather": Part(run_weather, "--moments 1 --weathers normal sleet"),
                 "writing": Part(run_writing, "--frames 2 --presets cirrus-sim"),
+                "worlds": Part(run_worlds, "--sequences 1 --frames 2 --presets cirrus-sim"),
                 "rays": Part(run_rays, "--repeat 1 --roads highway"),
+                "clutter": Part(run_clutter, "--sequences 1 --frames 1"),
             },
         )
     )

@@ -16,6 +16,7 @@ import numpy as np
 from _gestures import Subject, click, click_lane, drag, drawn, measured, seen_whole, shrunk, snapped, subjects
 from _report import SHARED_REAL, Part, part_parser, progress, run_parts
 from _studio_screen import (
+    PIXELS_A_METRE,
     Emptied,
     Hand,
     annotated,
@@ -28,6 +29,7 @@ from _studio_screen import (
     word_of,
     written,
 )
+from _unseen_drives import run_unseen
 from scipy.ndimage import maximum_filter
 
 from farfield.annotation.fitting import BoxFit, Prior, fit_radar_peak, peak_near, prior_of
@@ -222,7 +224,7 @@ def run_fitting(arguments: Sequence[str]) -> None:
 
 FORTY_REAL = {"View-of-Delft": "view_of_delft/lidar", "Luminar": "cirrus_layout/Cirrus_dataset1"}
 FORTY_TARGETS = {(0, 30): 0.76, (30, 60): 0.65, (60, 100): 0.55}
-PARTS = ("simulated", "radar", "real")
+PARTS = ("simulated", "radar", "heights", "real")
 FORTY_FORTY, FORTY_NEAR_M, MISSED = 40, 40.0, 0.1
 CELL_DEG = 1.0
 TEN, UNAIDED, CORRECTED = 10, (0.10, 2.0), (0.05, 1.0)  # objects; metres and degrees that are asked
@@ -230,10 +232,10 @@ RADAR = ("--frames", "4", "--sequences", "4", "--sensors", "os2-64,polar3d", "--
 SEED = 1
 
 
-def simulated(folder: Path, *arguments: str) -> Path:
+def simulated(folder: Path, *arguments: str, seed: int = SEED) -> Path:
     """Frames of kradar-sim as ``farfield simulate`` writes them; what is there already stays."""
     command = [sys.executable, "-m", "farfield.cli", "simulate", "kradar-sim", str(folder), "--workers", "1"]
-    subprocess.run([*command, "--seed", str(SEED), *arguments], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([*command, "--seed", str(seed), *arguments], check=True, stdout=subprocess.DEVNULL)
     return folder
 
 
@@ -393,6 +395,40 @@ def forty_radar_part(work: Path, chromium: Any) -> Iterator[str]:
     yield f"   target: one cell, {KRADAR_AXES.range_step_m:.2f} m and {CELL_DEG:g} degree"
 
 
+HEIGHT_SEEDS, HEIGHT_PX, HEIGHT_M = (701, 702), 3.0, 0.3
+
+
+def heights_part(work: Path, chromium: Any) -> Iterator[str]:
+    """Heights of vehicles that no LiDAR point shows: after the double click, and after bottom and top were dragged."""
+    rows = []
+    for seed in HEIGHT_SEEDS:
+        source = simulated(work / f"radar-{seed}", *RADAR, "--seed", str(seed))
+        data = open_dataset(source)
+        found = [(index, *row) for index in range(len(data)) for row in unseen(data[index])]
+        with annotated(emptied(source, work / f"heights-{seed}"), chromium) as page:
+            hand, classes = Hand(page), page.tell("state.welcome.classes")
+            for number, (index, one, place) in progress(list(enumerate(found)), "drawing"):
+                rng = np.random.default_rng([seed, number])
+                page.go(index)
+                hand.choose(word_of(classes, str(one.box.label[0])))
+                pressed = hand.peak(place + rng.normal(0, HEIGHT_PX / PIXELS_A_METRE[True], 2))
+                if pressed is not None:
+                    raised = hand.raised(one, rng, HEIGHT_PX)
+                    assert raised is not None
+                    truth_m = float(one.box.centre_m[0, 2])
+                    rows.append((one.range_m, pressed["box"][2] - truth_m, raised["box"][2] - truth_m))
+    yield f"\n{len(rows)} vehicles without a LiDAR point, seeds {HEIGHT_SEEDS}, by a hand of {HEIGHT_PX:g} px"
+    errors = np.array(rows)
+    for low, high in ((0, 60), (60, 80), (80, 120)):
+        held = (errors[:, 0] >= low) & (errors[:, 0] < high)
+        if held.any():
+            first, second = np.median(np.abs(errors[held, 1:]), axis=0)
+            yield f"  {low:>3}-{high:<3} m ({held.sum():>2})  z off by {first:.2f} m, with edges dragged {second:.2f} m"
+    for range_m, first, second in rows:
+        yield f"    {range_m:3.0f} m  double click {first:+.2f} m, bottom and top dragged {second:+.2f} m"
+    yield f"   target: {HEIGHT_M:g} m"
+
+
 def polar_errors(
     copy: Emptied, chosen: Sequence[tuple[int, Subject]], made: Sequence[Any], ego_m: np.ndarray
 ) -> Iterator[tuple[float, float]]:
@@ -462,7 +498,7 @@ def _by_range(
 def run_forty(arguments: Sequence[str]) -> None:
     """Objects annotated through the page by a hand with errors, and what then stands in the label files.
 
-        python benchmarks/studio_fitting.py forty [REAL] [--only simulated radar real] [--sets NAME ...]
+        python benchmarks/studio_fitting.py forty [REAL] [--only simulated radar heights real] [--sets NAME ...]
            [--first N] [--work DIR]
 
     A Chromium clicks, drags and presses keys at the pixels of ``farfield annotate``, which runs as a process of its
@@ -470,7 +506,8 @@ def run_forty(arguments: Sequence[str]) -> None:
     beside one of the object's points, the drag is 4 degrees off. Simulated: forty objects within 40 m in the second
     frames of six drives, first as new objects with their class's usual size, the first ten once more with one drag more
     in the close-up from above, at last as the next box of a track whose size is locked in the first frame. Of the radar
-    alone: every vehicle that no LiDAR point shows, by a double click on the map. REAL holds ``cirrus_layout`` and
+    alone: every vehicle that no LiDAR point shows, by a double click on the map; heights: the same of seeds on which
+    nothing was chosen, then bottom and top dragged in the radar's close-up. REAL holds ``cirrus_layout`` and
     ``view_of_delft``; usual sizes are the medians of the set's classes, and the hand presses at a point of the object,
     as in ``fitting``. Missed is an object without a box or whose box overlaps by less than 0.1.
     """
@@ -486,7 +523,11 @@ def run_forty(arguments: Sequence[str]) -> None:
     with tempfile.TemporaryDirectory() as place, browser() as playwright:
         work = options.work or Path(place)
         chromium = playwright.chromium.launch(executable_path=chromium_path())
-        parts: dict[str, Callable[..., Iterator[str]]] = {"simulated": forty_simulated_part, "radar": forty_radar_part}
+        parts: dict[str, Callable[..., Iterator[str]]] = {
+            "simulated": forty_simulated_part,
+            "radar": forty_radar_part,
+            "heights": heights_part,
+        }
         if options.real.is_dir():
             parts["real"] = partial(forty_real_part, options.real, options.sets, options.first)
         elif "real" in options.only:
@@ -504,6 +545,7 @@ if __name__ == "__main__":
             __doc__,
             {
                 "fitting": Part(run_fitting, "--simulated 1"),
+                "unseen": Part(run_unseen, "--seeds 1 --simulated 1"),
                 "forty": Part(run_forty, None),
             },
         )

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from _report import ROOT, Part, Table, child_command, load_printed, part_parser, run_parts
+from _studio_hostile import run_hostile
 from _studio_process import Started, slow_link, started, window
 from _studio_scenes import write_folder
 from _studio_screen import Screen, browser, chromium_path, screen
@@ -503,6 +504,29 @@ def run_link(arguments: Sequence[str]) -> int:
     return table.status
 
 
+def run_attack(arguments: Sequence[str]) -> int:
+    """Attack the studio with random and malformed messages and requests: nothing foreign, nothing stuck, no wrong edit.
+
+        python benchmarks/studio_server.py hostile [--messages 10000] [--seed 1]
+
+    Five windows at once, a tenth as many requests of HTTP, and one person who annotates meanwhile; see
+    benchmarks/_studio_hostile.py.
+    """
+    parser = part_parser(run_attack.__doc__)
+    parser.add_argument("--messages", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(arguments)
+    table = Table()
+    with load_printed(), tempfile.TemporaryDirectory() as folder:
+        run = run_hostile(Path(folder), messages=options.messages, seed=options.seed)
+    answers = ", ".join(f"{count} {name}" for name, count in sorted(run.answers.items()))
+    sent = f"{run.messages} messages of seed {options.seed}, {run.requests} requests, {run.windows} windows"
+    table.add(sent, answers, "said only", True)
+    table.add("stored edits compared with their messages", str(run.edits), "all", True)
+    table.add("foreign exceptions, stuck, wrong edits", str(len(run.faults)), "0", not run.faults)
+    return table.status
+
+
 if __name__ == "__main__":
     raise SystemExit(
         run_parts(
@@ -511,6 +535,7 @@ if __name__ == "__main__":
                 "server": Part(run_server, None),
                 "journal": Part(run_journal, "--repeats 1 --many 1000"),
                 "link": Part(run_link, None),
+                "hostile": Part(run_attack, "--messages 200", exact=True),
             },
         )
     )

@@ -6,9 +6,9 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from farfield.studio.messages.replies import VERSION, Reply
+from farfield.studio.messages.replies import Reply
 from farfield.studio.messages.requests import Request
-from farfield.studio.messages.rows import BoxValue
+from farfield.studio.messages.rows import VERSION, BoxValue
 
 _PLAIN = {str: "string", bool: "boolean", int: "number", float: "number", NoneType: "null", Any: "unknown"}
 _HEAD = """\

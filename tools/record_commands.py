@@ -22,7 +22,18 @@ _REAL: tuple[str, ...] = (
 _REAL += ("cirrus_layout", "sustechpoints", "pandaset", "pcd", "argoverse2_tracks")
 _VERBS = (
     *("demo", "doctor", "stats", "radar", "show", "view", "annotate", "new-dataset", "simulate", "convert"),
-    *("detectors", "experiments", "train", "adapt", "reproduce", "import-weights", "predict", "evaluate", "track"),
+    *(
+        "formats",
+        "detectors",
+        "experiments",
+        "train",
+        "adapt",
+        "reproduce",
+        "import-weights",
+        "predict",
+        "evaluate",
+        "track",
+    ),
     *("sync", "calibrate", "odometry", "anonymize", "depth", "score", "compare-results", "compare", "report"),
 )
 _VARIANTS = (

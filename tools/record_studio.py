@@ -25,7 +25,12 @@ from websockets.typing import Origin
 
 Message = dict[str, Any]
 GOT = Path("got")
-_UNTOLD = ("job", "windows", "checks")  # progress, who is there, checks of frames: when there is time; asked for below
+_UNTOLD = (
+    "job",
+    "windows",
+    "checks",
+    "drive.checks",
+)  # progress, who is there, checks of frames: when there is time; asked for below
 _LAST = ("matches", "predicted")  # told anew whenever something changed: the last one of each frame and set
 _ENDED = ("done", "failed", "cancelled")
 _KINDS = {"text/html": ".html", "image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp", "image/gif": ".gif"}
@@ -116,7 +121,7 @@ class Window:
                 got = {kind: reply}
                 break
             ends = kind != "job" or reply["state"] in _ENDED
-            if kind in awaited and kind not in got and mine and ends and self._here(reply, fields):
+            if kind in awaited and kind not in got and mine and ends:
                 got[kind] = reply
             else:
                 self._keep(reply)
@@ -130,11 +135,6 @@ class Window:
         while (reply := self.receive(30)) is not None and reply["op"] != "refused":
             self._keep(reply)
         self.talk.append({"sent": text, "got": [reply]})
-
-    @staticmethod
-    def _here(reply: Message, fields: Message) -> bool:
-        """Whether checks are those of the frame that was asked for."""
-        return bool(reply["op"] != "checks" or reply["frame"] == fields.get("frame"))
 
     def receive(self, seconds: float) -> Message | None:
         """The next message, or None if none comes."""
@@ -169,9 +169,22 @@ class Window:
         return self.ask("box.set", "ack", frame=frame, box=row["id"], base=row["version"], value=value)
 
     def checks(self, frame: int | None) -> Message:
-        """The checks of a frame or of all, once those that come by themselves have come."""
+        """The findings of a frame or of its whole drive, once all frames are checked with their points."""
         self.quiet()
-        return self.ask("check.list", "checks", frame=frame)
+        message = {"op": "check.list", "frame": frame or 0}
+        self.socket.send(json.dumps(message))
+        rows: dict[int, list[Message]] = {}
+        done = False
+        while not done and (reply := self.receive(60)) is not None:
+            if reply["op"] != "drive.checks":
+                self._keep(reply)
+                continue
+            rows |= {index: [row for row in reply["rows"] if row["frame"] == index] for index in reply["frames"]}
+            done = reply["done"] == reply["total"] == len(rows)
+        frames = sorted(rows) if frame is None else [frame]
+        checks: Message = {"op": "drive.checks", "rows": [row for index in frames for row in rows.get(index, ())]}
+        self.talk.append({"sent": message, "got": [checks]})
+        return checks
 
     def base(self, track: int) -> int:
         """The version of a track as it was told last."""

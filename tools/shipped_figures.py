@@ -1,6 +1,7 @@
 """Ship weights of the radar experiments, and bring the figures that the package and the pages list in line with them.
 
     python tools/shipped_figures.py figures
+    python tools/shipped_figures.py real [REAL] [--printed]
     python tools/shipped_figures.py weights [RTNH_RUN POINTPILLARS_RUN] [--weights-only]
                                             [--drives N] [--frames N] [--workers N]
 
@@ -8,6 +9,10 @@
 results/detector_speed.txt, the shipped PointPillars' scores from ``simulated`` of results/detectors.txt, the scores of
 the radar experiments by weather from ``shipped`` of results/radar_detectors.txt; these become the rows of these weights
 in docs/detectors.md too. Those of the equal budget stay as ``detectors.py budget`` measured them.
+
+``real`` makes README's table of real frames anew: it runs ``detectors.py real`` on the frames of REAL (with
+``--printed``, takes what that printed last) and writes a row for each set of frames: scores by range, objects scored,
+scenes, and what of the frames was seen in training.
 
 ``weights``: a RUN is the folder of a finished training: ``farfield train rtnh-kradar-sim`` and
 ``pointpillars-kradar-sim`` with ``-o training.steps=1500 -o data.simulate.frames=4`` make the shipped ones. In this
@@ -27,6 +32,7 @@ import shutil
 import subprocess
 import sys
 from copy import deepcopy
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +144,83 @@ def list_figures() -> None:
     print(f"written: {PAGE.relative_to(ROOT)}")
 
 
+README = ROOT / "README.md"
+REAL_TABLE = re.compile(r"(?<=^\| real frames \|).*?(?=^\n)", flags=re.DOTALL | re.MULTILINE)
+OVER_OBJECTS = re.compile(r"(?<=^Drawing objects for frames widens ).*$", flags=re.MULTILINE)
+REAL_HEADS = (*RANGES, "objects scored", "scenes", "seen in training")
+REAL_ROWS = {
+    "Luminar, as they are": "real Luminar, three frames, looking ahead, {count} vehicles",
+    "Luminar, turned by 180 degrees": "real Luminar, the same three, looking back, {count} vehicles",
+    "KITTI, front camera's view": "real KITTI, three frames, {count} vehicles",
+    "KITTI, further frames, front camera's view": "real KITTI, 14 further frames, {count} vehicles",
+}
+WORDS = {5: "five"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealScores:
+    """What the benchmark printed of the shipped detector on one set of real frames."""
+
+    vehicles: int
+    scenes: str
+    seen: str
+    dds: tuple[str, ...]
+    wdds: tuple[str, ...]
+    over_frames: str
+    over_objects: str
+    objects: str
+
+    @classmethod
+    def of(cls, text: str, title: str) -> "RealScores":
+        """The lines below a set's title; all vehicles count, hidden ones too."""
+        own = text[text.index(f"\n{title}: ") :]
+        row = re.search(rf"^  {SHIPPED} .*$", own, flags=re.MULTILINE)[0]
+        intervals = [*re.findall(r"\[0\.\d+, 0\.\d+\]", row), "", ""]
+        cells = row.split()[5:13]  # after the name and four average precisions
+        return cls(
+            vehicles=int(re.search(r"(\d+) annotated", own)[1]),
+            scenes=re.search(r"^ scenes: (.*)$", own, flags=re.MULTILINE)[1],
+            seen=re.search(rf"^ seen in training, {SHIPPED}: (.*)$", own, flags=re.MULTILINE)[1],
+            dds=tuple(cells[:4]),
+            wdds=tuple(cells[4:]),
+            over_frames=intervals[0],
+            over_objects=intervals[1],
+            objects=row.rpartition(" of ")[2] if intervals[1] else "1",
+        )
+
+    def row(self, name: str) -> str:
+        """The row of README's table."""
+        cells = [
+            "nothing annotated" if score == "-" else f"{float(score):.3f} ({float(wide):.3f})"
+            for score, wide in zip(self.dds, self.wdds, strict=True)
+        ]
+        cells[-1] += f", {self.over_frames}" if self.over_frames else ""
+        name = name.format(count=WORDS.get(self.vehicles, self.vehicles))
+        return f"| {' | '.join([name, *cells, self.objects, self.scenes, self.seen])} |"
+
+
+def with_real_rows(readme: str, text: str) -> str:
+    """README with the table of real frames that a benchmark printed, and what its intervals become over objects."""
+    scores = {title: RealScores.of(text, title) for title in REAL_ROWS}
+    rows = [f" {' | '.join(REAL_HEADS)} |", "|" + "---|" * (len(REAL_HEADS) + 1)]
+    table = "\n".join([*rows, *(scores[title].row(name) for title, name in REAL_ROWS.items())]) + "\n"
+    ahead, back = (f"{float(one.dds[-1]):.3f} to {one.over_objects}" for one in list(scores.values())[:2])
+    for pattern, written in ((REAL_TABLE, table), (OVER_OBJECTS, f"{ahead} and {back}.")):
+        readme, count = pattern.subn(lambda _, new=written: new, readme)
+        if count != 1:
+            raise SystemExit(f"README.md: expected one place of {pattern.pattern!r}, found {count}")
+    return readme
+
+
+def list_real(real: Path | None, *, printed: bool) -> None:
+    """Run the benchmark of real frames unless it was, and rewrite README's table."""
+    if not printed:
+        script = [sys.executable, "benchmarks/detectors.py", "real", *([] if real is None else [str(real)])]
+        subprocess.run(script, cwd=ROOT, check=True)
+    README.write_text(with_real_rows(README.read_text("utf-8"), section("detectors", "real")), encoding="utf-8")
+    print(f"written: {README.relative_to(ROOT)}")
+
+
 PICTURE = ROOT / "docs" / "images" / "radar_demo.jpg"
 SCORED = "kradar-sim-shipped"
 
@@ -185,6 +268,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     verbs = parser.add_subparsers(dest="verb", required=True)
     verbs.add_parser("figures")
+    real = verbs.add_parser("real")
+    real.add_argument("real", nargs="?", type=Path, help="folder of real frames; shared/real beside the project")
+    real.add_argument("--printed", action="store_true", help="take what the benchmark printed last")
     weights = verbs.add_parser("weights")
     weights.add_argument("runs", nargs="*", default=[f"runs/{name}" for name in RADAR_WEIGHTS])
     weights.add_argument("--weights-only", action="store_true", help="write the two files and do no more")
@@ -194,6 +280,9 @@ def main() -> None:
     options = parser.parse_args()
     if options.verb == "figures":
         list_figures()
+        return
+    if options.verb == "real":
+        list_real(options.real, printed=options.printed)
         return
     if len(options.runs) != len(RADAR_WEIGHTS):
         parser.error(f"expected a run for each of {', '.join(RADAR_WEIGHTS)}, got {len(options.runs)}")

