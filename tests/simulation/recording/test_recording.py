@@ -11,9 +11,11 @@ import pytest
 pytest.importorskip("embreex")
 
 from farfield.errors import ConfigError, DatasetError
+from farfield.frame.provenance import SIMULATION_FILE
 from farfield.jobs import folders
 from farfield.simulation import find_preset, simulate_frame
 from farfield.simulation.recording import RecordingSummary, SimulationConfig, ensure, record
+from farfield.simulation.recording.recorder import _has_other_data
 from farfield.simulation.rig import RIGS, FrameWriter
 
 WANTED = SimulationConfig(preset="cirrus-sim-mini", sequences=1, frames=2, seed=4)
@@ -77,6 +79,21 @@ def test_several_that_need_the_same_data_at_once_wait_for_the_one_that_simulates
         summaries = [*pool.map(lambda words: ensure(WANTED, out, report=words.append), lines)]
     assert sorted(len(summary.verdicts) for summary in summaries if summary is not None) == [0, 0, 0, 0, 2]
     assert sum(f"another command simulates {out}" in " ".join(words) for words in lines) >= 1
+
+
+def test_what_another_command_just_begins_is_no_other_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, is_file = tmp_path / "data", Path.is_file
+    out.mkdir()
+
+    def begun_after_the_look(path: Path) -> bool:
+        result = is_file(path)
+        if path.name == SIMULATION_FILE and not result:
+            path.write_text("{}")
+            (out / "frames").mkdir(exist_ok=True)
+        return result
+
+    monkeypatch.setattr(Path, "is_file", begun_after_the_look)
+    assert not _has_other_data(out)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="other locks")

@@ -290,6 +290,7 @@ def test_two_windows_conflict_and_each_choice_is_kept(chromium, live, page: Scre
         assert "2 windows" in page.text("#header")
         other.look(*row["box"][:2], 25)
         other.click(row["box"][:3])
+        other.until(f"state.selection === '{row['id']}'")
         # both change the version that both saw: the second comes late
         other.page.evaluate("farfieldTest.hold(true)")
         page.press("w")

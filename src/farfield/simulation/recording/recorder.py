@@ -218,7 +218,9 @@ def _has_other_data(path: Path) -> bool:
     """Whether something stands there that ``farfield simulate`` did not begin; hidden files are of one that begins."""
     if not path.is_dir():
         return path.exists()
-    return not (path / SIMULATION_FILE).is_file() and any(not entry.name.startswith(".") for entry in path.iterdir())
+    # Listed first: the file is written before all others, so what another command just begins is never taken for data
+    entries = [entry for entry in path.iterdir() if not entry.name.startswith(".")]
+    return bool(entries) and not (path / SIMULATION_FILE).is_file()
 
 
 def planned_recording(config: SimulationConfig, path: Path) -> Recording:
