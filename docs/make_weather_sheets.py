@@ -80,7 +80,7 @@ def sheet(road: str, seed: int) -> Path:
         draw_row(grid[row], frame, "\n".join(wrap(f"{road}, {frame.metadata['weather'].describe()}", 84)))
     IMAGES.mkdir(parents=True, exist_ok=True)
     path = IMAGES / f"{road}.jpg"
-    figure.savefig(path, dpi=100, pil_kwargs={"quality": 80})
+    figure.savefig(path, dpi=80, pil_kwargs={"quality": 78, "optimize": True, "progressive": True})
     return path
 
 
