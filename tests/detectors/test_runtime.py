@@ -1,5 +1,8 @@
 """What a detector states of itself, and which frames it refuses."""
 
+import platform
+import subprocess
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -83,3 +86,23 @@ def test_a_cloud_without_the_columns_is_refused_and_never_chosen(rng):
         moving(frame({}))
     with pytest.raises(ConfigError, match="named 'absent'"):
         moving.with_cloud("absent")(frame(both))
+
+
+HOLES = """
+import numpy as np
+from farfield.detectors.runtime import give_back_freed_memory, keep_freed_memory
+def resident_mb():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 // 10**6
+assert keep_freed_memory()
+blocks = [np.ones(200_000, np.uint8) for _ in range(1500)]  # 300 MB
+blocks = blocks[::10]  # nine of ten are freed, none at the end
+before = resident_mb()
+give_back_freed_memory()
+print(before - resident_mb(), sum(map(len, blocks)))
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other allocators give back by themselves")
+def test_holes_between_blocks_in_use_are_given_back():
+    ran = subprocess.run([sys.executable, "-c", HOLES], capture_output=True, text=True, check=True)
+    assert int(ran.stdout.split()[0]) > 200, ran.stdout

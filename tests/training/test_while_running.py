@@ -14,6 +14,7 @@ from farfield.detectors.weights import load_weights
 from farfield.errors import ConfigError
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import load_experiment
+from farfield.training import loop
 from farfield.training.checkpoints import load_checkpoint
 from farfield.training.report import TrainingReport
 
@@ -134,6 +135,14 @@ def test_a_second_signal_ends_at_once():
     thread.start()
     thread.join()
     assert worked == [0], "outside the main thread signals stay as they are"
+
+
+def test_freed_memory_is_given_back_now_and_then(experiment, tmp_path, monkeypatch):
+    times = []
+    monkeypatch.setattr(loop, "_STEPS_BEFORE_MEMORY_IS_GIVEN_BACK", 2)
+    monkeypatch.setattr(loop, "give_back_freed_memory", lambda: times.append(True))
+    plan(experiment, tmp_path / "run", "training.steps=5").run(TrainingReport())
+    assert len(times) == 2
 
 
 def test_a_run_is_prolonged(experiment, tmp_path):

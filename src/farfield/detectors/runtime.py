@@ -124,6 +124,15 @@ def keep_freed_memory() -> bool:
     )
 
 
+def give_back_freed_memory() -> None:
+    """Hand what was kept back to the kernel, holes between blocks in use too; a no-op where there is no glibc.
+
+    Batches of other sizes leave holes that no later batch fills: a training of 3,000 steps grew to 12.6 GB with them.
+    """
+    if keep_freed_memory():
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
 _TOO_LARGE = (
     "To detect in less: fewer frames at a time, precision bf16 or fp16, a detector of a shorter range or with larger "
     "cells, or device cpu."

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from farfield.detectors.devices import fitting, name_of
 from farfield.detectors.network import Network
-from farfield.detectors.runtime import keep_freed_memory
+from farfield.detectors.runtime import give_back_freed_memory, keep_freed_memory
 from farfield.detectors.weights import save_weights
 from farfield.errors import ConfigError
 from farfield.training.averaging import averaged, copy_state, follow, reestimate, save_reestimated, state_of
@@ -57,6 +57,8 @@ _TOO_LARGE = (
     "bf16, or a shorter range or larger cells in detector.grid. The run goes on from its last checkpoint."
 )
 _LOOKS = 10  # at held-out frames, in a training
+_STEPS_BEFORE_MEMORY_IS_GIVEN_BACK = 200
+"""A few milliseconds in minutes: batches leave holes among the memory that the network's maps are kept in."""
 
 
 @dataclass
@@ -141,6 +143,8 @@ class Training:
                 follow(self._average, self.modules.state_dict(), step=self.step, decay=decay, frozen=frozen)
                 self.method.after_step(self.step)
                 self.step += 1  # from here: steps done
+                if self.step % _STEPS_BEFORE_MEMORY_IS_GIVEN_BACK == 0:
+                    give_back_freed_memory()
                 # Thaw what this step has freed, and put what trains into training mode
                 self._freeze()
                 stopped = stop.requested(fabric.device)
