@@ -83,7 +83,7 @@ def learnt_by(provenance: Mapping[str, Any], name: str) -> TrainingHistory:
 
 
 def simulation_of(learnt: TrainingHistory, frames: int, seed: int, name: str) -> SimulationConfig:
-    """What to simulate as the source: the preset of the detector's data on other roads, without its cameras.
+    """What to simulate as the source: the preset and world of the detector's data on other roads, without its cameras.
 
     Raises:
         ConfigError: If the detector did not learn from simulated frames, or there is no such preset any more.
@@ -107,6 +107,7 @@ def simulation_of(learnt: TrainingHistory, frames: int, seed: int, name: str) ->
         seed=int(recipe.get("seed", 0)) + _OTHER_ROADS + seed,
         sensors=",".join(sensors_without_cameras),
         stride_s=recipe.get("stride_s"),
+        world=recipe.get("world"),
     )
 
 
