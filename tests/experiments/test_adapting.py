@@ -257,13 +257,8 @@ def test_the_source_is_simulated_on_other_roads_without_camera() -> None:
     assert (made.sensors, made.seed, made.sequences, made.frames) == ("gaussian,uniform", 1003, 3, 6)
     few = simulation_of(learnt, 2, 1, "mine")
     assert (few.seed, few.sequences, few.frames) == (1004, 1, 2)
-    assert (
-        made.world,
-        simulation_of(replace(learnt, simulate={**learnt.simulate, "world": "v3"}), 2, 0, "mine").world,
-    ) == (
-        None,
-        "v3",
-    )
+    towns = replace(learnt, simulate={**learnt.simulate, "world": "v3"})
+    assert (made.world, simulation_of(towns, 2, 0, "mine").world) == (None, "v3")
 
 
 def test_a_provenance_of_several_streams_gives_its_source() -> None:
