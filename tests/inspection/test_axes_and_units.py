@@ -82,6 +82,18 @@ def test_what_is_right_raises_no_doubt(all_round: bool, rng: np.random.Generator
     assert doubts_of([points], [crossing]) == []
 
 
+def test_regions_that_are_unsure_are_no_objects_in_feet(rng: np.random.Generator) -> None:
+    points, boxes = road(rng)
+    regions = Boxes(
+        centre_m=np.tile([60.0, 20.0, 0.0], (40, 1)), size_m=np.tile([11.0, 6.0, 3.0], (40, 1)),
+        yaw_rad=np.zeros(40), label=["unsure"] * 40,
+    )  # fmt: skip
+    cloud = Cloud(points.astype(np.float32), np.zeros(len(points), np.float32))
+    assert first_doubts(in_memory([Frame.of(cloud, Boxes.concatenate([boxes, regions]))])) == []
+    wide = Frame.of(cloud, regions.relabel({"unsure": "vehicle"}))
+    assert "feet" in str(first_doubts(in_memory([wide]))[0])
+
+
 @pytest.mark.parametrize("name", ["kitti", "view_of_delft", "cirrus_layout", "kradar", "argoverse2", "astyx"])
 def test_published_data_raise_no_doubt(name: str, shared_real: Path) -> None:
     folder = shared_real / name

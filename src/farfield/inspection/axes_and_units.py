@@ -13,7 +13,7 @@ from jaxtyping import Float
 from farfield.datasets.base import Dataset
 from farfield.errors import FarfieldError
 from farfield.frame import Boxes, Frame
-from farfield.vocabulary.classes import unit_of_sizes
+from farfield.vocabulary.classes import UNSURE, unit_of_sizes
 
 _FRAMES = 5
 _LEAST_POINTS, _LEAST_BOXES = 1_000, 8
@@ -72,6 +72,8 @@ def doubts_of(points: Sequence[Float[np.ndarray, "_ 3"]], boxes: Sequence[Boxes]
 def first_doubts(data: Dataset, *, cloud: str | None = None, frames: int = _FRAMES) -> list[Doubt]:
     """The doubts about some frames of a data set, spread evenly; frames that cannot be read are left to their reader.
 
+    Boxes that are ``unsure``, round what a donor sweep may hold, have sizes of their own and count as no objects.
+
     Args:
         data: The data set.
         cloud: Name of the cloud; the first of a LiDAR unless given.
@@ -85,7 +87,7 @@ def first_doubts(data: Dataset, *, cloud: str | None = None, frames: int = _FRAM
             if name is not None and name in frame.clouds and _is_lidar(frame, name):
                 points.append(frame.clouds[name].points_m)
             if frame.boxes is not None:
-                boxes.append(frame.boxes)
+                boxes.append(frame.boxes[frame.boxes.label != UNSURE])
         except (FarfieldError, OSError, ValueError):
             continue
     return doubts_of(points, boxes)
