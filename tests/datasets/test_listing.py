@@ -12,7 +12,7 @@ from farfield.datasets.listing import ListedPath, listed_once
 
 PATTERNS = (
     "*", "*.pcd", "*.[pP][cC][dD]", "velodyne/*.bin", "*/velodyne/*", "velodyne", "velodyne/0.bin", "v1.*", "*/*/deep",
-    "frame_*.laz", "nothing/*", "a*/x?.[tT][xX][tT]", "*_[0-9].pcd", "*/", "link*/*", "lost", "lost*", "**/deep",
+    "frame_*.laz", "nothing/*", "a*/x?.[tT][xX][tT]", "*_[0-9].pcd", "*/", "link*/*", "lost*", "**/deep",
 )  # fmt: skip
 
 

@@ -125,7 +125,7 @@ def _globbed(folder: ListedPath, parts: list[str]) -> Iterator[ListedPath]:
         if rest:
             if child.is_dir():
                 yield from _globbed(child, rest)
-        elif child.exists() or child.is_symlink():
+        elif child.exists():
             yield child
         return
     listing = folder._listing(make=True)

@@ -154,7 +154,7 @@ class IndexedBag:
 
 def _other_clocks(recorded: IndexedBag, reference: str) -> list[str]:
     """A sentence on each topic whose stamps lie elsewhere, against the times of recording, than the reference's."""
-    late_s = {name: float(np.median(each.times_ns - each.log_ns)) * 1e-9 for name, each in recorded.topics.items()}
+    late_s = {name: float(np.median(row.times_ns - row.log_ns)) * 1e-9 for name, row in recorded.topics.items()}
     sentences = []
     for name, late in late_s.items():
         apart_s = late - late_s[reference]

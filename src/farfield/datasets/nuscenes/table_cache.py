@@ -40,7 +40,7 @@ def cached_table(path: Path, fields: Mapping[str, TableField]) -> TableColumns:
     if before.st_size < LEAST_BYTES:
         return read_table(path, fields)
     key = _key(path, before, fields)
-    cache = _place(path)
+    cache = _cache_path(path)
     try:
         return _unpacked(cache, key, fields)
     except _DAMAGES:
@@ -56,7 +56,7 @@ def cached_table(path: Path, fields: Mapping[str, TableField]) -> TableColumns:
     return columns
 
 
-def _place(path: Path) -> Path:
+def _cache_path(path: Path) -> Path:
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - never raises
     digest = hashlib.sha256(os.fsencode(path.resolve())).hexdigest()[:24]
     return Path(home) / "farfield" / f"tables-{digest}.npz"
