@@ -17,7 +17,9 @@ def row(values: np.ndarray) -> str:
     return " ".join(f"{value:.6e}" for value in np.asarray(values).ravel())
 
 
-def write(root: Path, *, poses: str = "poses/{}.txt", labels: bool = False, names: tuple[str, ...] = ("00", "01")) -> Path:
+def write(
+    root: Path, *, poses: str = "poses/{}.txt", labels: bool = False, names: tuple[str, ...] = ("00", "01")
+) -> Path:
     """Two sequences of three sweeps; the car goes one metre ahead each 0.1 s, and turns left a little."""
     for name in names:
         folder = root / "sequences" / name
@@ -66,7 +68,10 @@ def test_sweeps_poses_and_times_are_read(tmp_path, poses, inner):
 
 def test_one_sequence_and_the_folder_of_sequences_open(tmp_path):
     write(tmp_path)
-    assert (open_dataset(tmp_path / "sequences").name, len(open_dataset(tmp_path / "sequences"))) == ("kitti_odometry", 6)
+    assert (open_dataset(tmp_path / "sequences").name, len(open_dataset(tmp_path / "sequences"))) == (
+        "kitti_odometry",
+        6,
+    )
     alone = open_dataset(tmp_path / "sequences" / "01")
     assert (alone.name, len(alone), alone[1].sequence) == ("kitti_odometry", 3, "01")
     assert alone[1].world_T_frame is not None

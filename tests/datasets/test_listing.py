@@ -19,7 +19,15 @@ PATTERNS = (
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
     """Files, folders, hidden ones, links that lead on, nowhere and in a circle."""
-    for name in ("0.pcd", "1_1.PCD", ".hidden.pcd", "velodyne/0.bin", "ab/x1.TXT", "ab/velodyne/deep", "v1.0-mini/t.json"):
+    for name in (
+        "0.pcd",
+        "1_1.PCD",
+        ".hidden.pcd",
+        "velodyne/0.bin",
+        "ab/x1.TXT",
+        "ab/velodyne/deep",
+        "v1.0-mini/t.json",
+    ):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"")

@@ -67,7 +67,9 @@ def test_a_table_that_changed_is_read_anew(tmp_path, caches):
         open_dataset(tmp_path / "set")
 
 
-@pytest.mark.parametrize("damage", [lambda data: b"", lambda data: data[:-200], lambda data: data.replace(b"scene-0061", b"scene-9961")])
+@pytest.mark.parametrize(
+    "damage", [lambda data: b"", lambda data: data[:-200], lambda data: data.replace(b"scene-0061", b"scene-9961")]
+)
 def test_a_damaged_cache_is_written_anew(tmp_path, caches, no_reading, damage):
     write_nuscenes(tmp_path / "set")
     names = open_dataset(tmp_path / "set").sequences

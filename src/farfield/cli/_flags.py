@@ -95,7 +95,9 @@ class FileFlags:
             ConfigError: If options of a reader are given.
         """
         if self.reader:
-            raise ConfigError(f"--reader {self.reader[0]}: expected a data set, got single clouds, which have no reader")
+            raise ConfigError(
+                f"--reader {self.reader[0]}: expected a data set, got single clouds, which have no reader"
+            )
         return {name: value for name, value in self.options.items() if name in _OF_CLOUDS}
 
     def open(self, path: Path, **options: Any) -> "Dataset":

@@ -79,7 +79,9 @@ def _typed(name: str, text: str, hint: Any) -> Any:
             return text
         elif issubclass(origin, Sequence):
             return tuple(word for word in text.split(",") if word)
-    raise ConfigError(f"--reader {name}: expected {' or '.join(expected) or 'an option that a text can say'}, got {text!r}")
+    raise ConfigError(
+        f"--reader {name}: expected {' or '.join(expected) or 'an option that a text can say'}, got {text!r}"
+    )
 
 
 def _looseness(kind: Any) -> int:

@@ -117,7 +117,9 @@ _WORDS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("hesai", "pandar", "pandar64", "pandar40", "pandarxt", "qt128"), ("captures", "bags")),
     **dict.fromkeys(("ouster", "os0", "os1", "os2", "osdome"), ("ouster", "osf", "bags")),
     **dict.fromkeys(("pcap", "pcapng"), ("captures", "ouster")),
-    **dict.fromkeys(("rosbag", "rosbags", "rosbag2", "bag", "ros", "ros1", "ros2", "mcap", "db3", "foxglove"), ("bags",)),
+    **dict.fromkeys(
+        ("rosbag", "rosbags", "rosbag2", "bag", "ros", "ros1", "ros2", "mcap", "db3", "foxglove"), ("bags",)
+    ),
     **dict.fromkeys(("livox", "robosense", "innoviz", "aeva", "luminar", "sick"), ("bags", "folder", ".pcd")),
     **dict.fromkeys(("parquet", "waymov2", "womd"), ("waymo",)),
     **dict.fromkeys(("feather", "av2"), ("argoverse2",)),

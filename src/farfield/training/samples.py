@@ -182,9 +182,9 @@ class TrainingSamples(TorchDataset[TrainingSample]):
     def load(self, number: int) -> tuple[Points, Boxes]:
         """The unchanged points and boxes of sample ``number`` of an epoch in order; of a paired stream, of a frame.
 
-        The points of all inputs, and of all samples of a pair, stand in one table: x, y, z, lag, the number of the sweep
-        (0 for the present one), the other columns that the inputs read, zero where a point's input does not read them, and the number of the input, of the sample, that
-        a point belongs to.
+        The points of all inputs, and of all samples of a pair, stand in one table: x, y, z, lag, the number of the
+        sweep (0 for the present one), the other columns that the inputs read, zero where a point's input does not read
+        them, and the number of the input, of the sample, that a point belongs to.
         """
         count = len(self.bindings)
         index, bound = (number, self.bindings) if self._joint else (number // count, [self.bindings[number % count]])

@@ -50,7 +50,7 @@ def cached_table(path: Path, fields: Mapping[str, TableField]) -> TableColumns:
         try:
             cache.parent.mkdir(parents=True, exist_ok=True)
             with open_atomic(cache) as handle:
-                np.savez(handle, allow_pickle=False, **_packed(columns, key, fields))
+                np.savez(handle, **_packed(columns, key, fields))
         except (OSError, FarfieldError, ValueError):
             pass  # read again by the next command
     return columns
@@ -88,7 +88,7 @@ def _unpacked(cache: Path, key: str, fields: Mapping[str, TableField]) -> TableC
         ValueError: If it is of another table, or its columns are of different lengths; or another of the damages.
     """
     columns: TableColumns = {}
-    with np.load(cache, allow_pickle=False) as arrays:
+    with cache.open("rb") as handle, np.load(handle, allow_pickle=False) as arrays:
         if arrays["key"].tobytes().decode() != key:
             raise ValueError("another table")
         for name, entry in fields.items():
