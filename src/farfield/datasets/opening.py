@@ -12,8 +12,8 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.class_mapping import MAPPING_NAME, maps_classes, read_class_mapping
 from farfield.datasets.formats import find_format, looked_for
 from farfield.datasets.frame_maps import described, make
-from farfield.datasets.recipes import maps_of_options, plain
 from farfield.datasets.reader_options import typed_options
+from farfield.datasets.recipes import maps_of_options, plain
 from farfield.datasets.recognition import recognise
 from farfield.datasets.unread import advice_on, unread_files
 from farfield.errors import ConfigError, DatasetError

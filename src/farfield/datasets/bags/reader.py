@@ -282,7 +282,7 @@ class Bags(Dataset):
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """Transforms that are passed over, and topics whose clock is another than the reference's, of the first bags."""
+        """Transforms that are passed over, and topics of another clock than the reference's, of the first bags."""
         sentences = []
         for name in list(dict.fromkeys(self.sequences))[:_BAGS_LOOKED_AT]:
             with suppress(FarfieldError):  # a damaged bag is reported when it is read

@@ -9,8 +9,8 @@ FORMAT = Format(
     reader="farfield.datasets.kitti.odometry:KittiOdometry",
     facts=FormatFacts(
         title="KITTI odometry and SemanticKITTI",
-        read="sweeps, times, poses of the LiDAR, left colour camera with calibration; no boxes: the sets have none, and "
-        "SemanticKITTI's classes of points are not read",
+        read="sweeps, times, poses of the LiDAR, left colour camera with calibration; no boxes: the sets have none, "
+        "and SemanticKITTI's classes of points are not read",
         real_files=NO_REAL_FILE,
         opens="farfield doctor dataset",
         source="https://www.cvlibs.net/datasets/kitti/eval_odometry.php, http://www.semantic-kitti.org/dataset.html",

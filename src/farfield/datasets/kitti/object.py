@@ -284,9 +284,10 @@ KITTI_HOLDS = Capacity(
 class KittiWriter:
     """Write ``training/{velodyne,label_2,calib,image_2}/NNNNNN.*``.
 
-    The camera is the one that looks ahead, see :attr:`Frame.front_camera`. Boxes behind the camera or outside its image are written too, with the 2D box -1 -1 -1 -1. A frame without
-    calibration gets a virtual camera at the lidar's origin and no image. Lens distortion has no place in KITTI's
-    calibration: rectify the images beforehand, or leave 2D boxes unused.
+    The camera is the one that looks ahead, see :attr:`Frame.front_camera`. Boxes behind it or outside its image are
+    written too, with the 2D box -1 -1 -1 -1. A frame without calibration gets a virtual camera at the lidar's origin
+    and no image. Lens distortion has no place in KITTI's calibration: rectify the images beforehand, or leave 2D boxes
+    unused.
 
     Args:
         root: Folder in which ``training`` is made.

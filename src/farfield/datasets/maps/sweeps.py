@@ -33,9 +33,9 @@ class Sweeps:
     """Each cloud followed by those of the ``count - 1`` frames before it in its drive.
 
     Earlier points are moved by the frames' poses, so that what stands still stays in place; what moves leaves a trail.
-    Each point tells its sweep's age in the column ``lag_s`` and its number in ``sweep``, 0 for the present one. The first frames of a drive have
-    fewer sweeps. Boxes and images are those of the present frame. Of a selection of frames, the frames before are those
-    before in the whole data set.
+    Each point tells its sweep's age in the column ``lag_s`` and its number in ``sweep``, 0 for the present one. The
+    first frames of a drive have fewer sweeps. Boxes and images are those of the present frame. Of a selection of
+    frames, the frames before are those before in the whole data set.
 
     Args:
         count: Sweeps a frame; 1 changes nothing.
