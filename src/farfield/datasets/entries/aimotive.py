@@ -9,8 +9,8 @@ FORMAT = Format(
     reader="farfield.datasets.aimotive:Aimotive",
     facts=FormatFacts(
         title="aiMotive Multimodal Dataset",
-        read="LiDAR (LAZ, LAS), two radars with velocity, cameras, boxes with tracks and relative velocity, calibration "
-        "of pinhole cameras; egomotion*.json and the calibration of fisheyes (model mei) are left out",
+        read="LiDAR (LAZ, LAS), two radars with velocity, cameras, boxes with tracks and relative velocity, "
+        "calibration of pinhole cameras; egomotion*.json and the calibration of fisheyes (model mei) are left out",
         real_files="one session of 50 frames with all sensors, 391 boxes; of egomotion*.json and LAS no real file seen",
         opens="farfield doctor aimotive/data/train",
         source="https://github.com/aimotive/aimotive-dataset-loader (its data)",
