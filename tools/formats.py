@@ -17,7 +17,9 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "formats.md"
 HEAD = """# Formats
 
 Printed by `tools/formats.py` from what the code registers; `farfield formats` prints the same, `farfield formats NAME`
-all that is known of one. A folder's format is recognised from what it holds; `--format NAME` overrules it.
+all that is known of one, and `farfield formats velodyne` (any sensor, suffix, data set or tool) what is read of it. A
+folder's format is recognised from what it holds; `--format NAME` overrules it. Options of a reader that have no flag are
+given as `--reader NAME=VALUE`, such as `--reader whole_scenes=true`.
 
 **No real file seen** means that the reader follows the format's description, and that the files in its tests were
 written by that description too: look at the first frames with `farfield show DATA`. What is checked on the way in
@@ -31,8 +33,8 @@ sizes and yaw in every target: roll and pitch were left out, or refused, when th
 its source and loses nothing; a radar store holds radar products alone and is opened together with its source."""
 PICTURES = {
     "none": "",
-    "first": "the first image with its calibration",
-    "first calibrated": "the first image of a calibrated camera",
+    "first": "the image of the calibrated camera that looks ahead, else the first image",
+    "front": "the image of the calibrated camera that looks ahead",
     "calibrated": "the images of calibrated cameras",
 }
 KINDS = {"labels": "Labels", "results": "Results", "clouds": "Single clouds"}

@@ -423,8 +423,7 @@ def _finish_numbered(dataset: Dataset, target: Path, image_sets: Mapping[str, st
 def _finish_kitti(dataset: Dataset, target: Path) -> None:
     """Say in which axes the labels stand."""
     first = dataset[0]
-    named = next((name for name in first.cameras if name in first.images), next(iter(first.cameras), ""))
-    write_coordinates(target / "training" / "label_2", camera_words(named, first.reference))
+    write_coordinates(target / "training" / "label_2", camera_words(first.front_camera or "", first.reference))
 
 
 def _image_sets(dataset: Dataset) -> dict[str, str]:
@@ -484,13 +483,13 @@ def _own_times(dataset: Dataset) -> list[int]:
 
 
 def _as_cirrus(frame: Frame, time_ns: int, cloud: str | None) -> Frame:
-    """Give the chosen cloud the place of the Gaussian sweep; the first image becomes the camera's."""
+    """Give the chosen cloud the place of the Gaussian sweep; the image ahead becomes the camera's."""
     clouds = dict.fromkeys(frame.clouds)
     if cloud is not None or "gaussian" not in clouds:
         chosen = {"gaussian": frame.cloud(cloud)}
     else:
         chosen = {name: frame.clouds[name] for name in ("gaussian", "uniform") if name in clouds}
-    camera = next(iter(frame.images), None)
+    camera = frame.front_camera if frame.front_camera in frame.images else next(iter(frame.images), None)
     timed = frame.time_ns is not None  # made-up times are the frame's alone
     return replace(
         frame,

@@ -45,9 +45,9 @@ ITEMS: Mapping[str, str] = {
 }
 """What a frame may say that a target may not hold, in words; the order in which losses are said."""
 
-Pictures = Literal["none", "first", "first calibrated", "calibrated"]
-"""Which images and calibrations are written: the first image with its calibration; the first image of a calibrated
-camera, or the first calibration alone; every image of a calibrated camera with it."""
+Pictures = Literal["none", "first", "front", "calibrated"]
+"""Which images and calibrations are written: those of the front camera, else the first image; those of the front camera
+alone, see :attr:`farfield.frame.Frame.front_camera`; every image of a calibrated camera with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,11 +228,11 @@ def _mounting(frame: Frame) -> list[str]:
 def _pictures(frame: Frame, capacity: Capacity) -> dict[str, list[str]]:
     both = [name for name in frame.cameras if name in frame.images]
     if capacity.pictures == "first":
-        images = list(frame.images)[:1]
+        images = [frame.front_camera] if frame.front_camera in both else list(frame.images)[:1]
         cameras = [name for name in images if name in frame.cameras]
-    elif capacity.pictures == "first calibrated":
-        images = both[:1]
-        cameras = images or list(frame.cameras)[:1]
+    elif capacity.pictures == "front":
+        cameras = [] if frame.front_camera is None else [frame.front_camera]
+        images = [name for name in cameras if name in frame.images]
     else:
         images = cameras = both if capacity.pictures == "calibrated" else []
     return {

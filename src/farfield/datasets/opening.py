@@ -12,6 +12,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.class_mapping import MAPPING_NAME, maps_classes, read_class_mapping
 from farfield.datasets.formats import find_format, looked_for
 from farfield.datasets.frame_maps import described, make
+from farfield.datasets.reader_options import typed_options
 from farfield.datasets.recipes import maps_of_options, plain
 from farfield.datasets.recognition import recognise
 from farfield.datasets.unread import advice_on, unread_files
@@ -68,6 +69,7 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
         raise DatasetError(f"{root}: recognised no data set. It holds: {shown}. {hints}Looked for:{looked}")
     reader = find_format(format).load()
     own = _checked_options(format, reader, options)
+    options = typed_options(reader, options)
     opened = reader(root, **{name: value for name, value in options.items() if name in own})
     opened.options = {name: plain(value) for name, value in options.items() if name in own}
     _check_names(opened)

@@ -135,7 +135,7 @@ class ResultWriter:
         virtual, named = 0, set[Path]()
         for number, ((sequence, frame_id), boxes) in enumerate(frame_boxes):
             frame = self.frames[number]
-            camera = next(iter(frame.cameras.values()), None)
+            camera = None if frame.front_camera is None else frame.cameras[frame.front_camera]
             virtual += camera is None
             folder = out / sequence if several else out
             if folder not in named:
@@ -234,4 +234,4 @@ def coordinates_of_text(frames: Sequence[Frame] | Dataset, frame: Frame) -> str:
     """What boxes in KITTI's text stand in: as the labels of a converted data set name it, else the frame's camera."""
     reader = frames.unwrapped if isinstance(frames, Dataset) else None
     beside = read_coordinates(reader.folder / "label_2") if isinstance(reader, Kitti) else ""
-    return beside or camera_words(next(iter(frame.cameras), ""), frame.reference)
+    return beside or camera_words(frame.front_camera or "", frame.reference)

@@ -244,10 +244,11 @@ def _seen_from(frame: Frame, boxes: Boxes) -> Boxes:
 
 
 def _in_camera(data: Dataset, index: int) -> Frame:
-    """A frame with its boxes alone, under KITTI's names in the axes of its first camera, ahead, left and up."""
+    """A frame with its boxes alone, under KITTI's names in the axes of its front camera, ahead, left and up."""
     frame = data[index]
     boxes = Boxes.empty() if frame.boxes is None else frame.boxes
-    objects = objects_from_boxes(boxes, next(iter(frame.cameras.values()), VIRTUAL_CAMERA), classes=KITTI_FROM_CIRRUS)
+    camera = VIRTUAL_CAMERA if frame.front_camera is None else frame.cameras[frame.front_camera]
+    objects = objects_from_boxes(boxes, camera, classes=KITTI_FROM_CIRRUS)
     names = ("truncation", "occlusion", "box_px", "alpha_rad")
     facts = {name: getattr(objects, name) for name in names}
     details = {} if frame.annotation is None else frame.annotation.details
