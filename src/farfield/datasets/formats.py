@@ -87,6 +87,10 @@ _LAST = (  # after all others: a data set's folder may hold a bag, a capture or 
     "open_sweeps",
     "sustechpoints",
     "cvat",
+    "supervisely",
+    "xtreme1",
+    "labelcloud",
+    "openlabel",
     "folder",
 )
 
