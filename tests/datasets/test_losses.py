@@ -140,7 +140,10 @@ def lacking(source: Frame, got: Frame) -> set[str]:
     return {item for item, holds in held.items() if not holds()}
 
 
-@pytest.mark.parametrize("to", ["kitti", "openpcdet", "cirrus", "sustechpoints", "cvat", "nuscenes", "t4"])
+@pytest.mark.parametrize(
+    "to",
+    ["kitti", "openpcdet", "cirrus", "sustechpoints", "cvat", "supervisely", "xtreme1", "labelcloud", "nuscenes", "t4"],
+)
 def test_named_losses_are_what_a_second_reading_lacks(to: str, everything: Dataset, tmp_path: Path) -> None:
     announced: list[str] = []
     everything = InMemory(list(everything), in_order=to in ("nuscenes", "t4"))  # whose scenes are drives
@@ -203,6 +206,9 @@ def test_the_losses_of_openlabel(everything: Dataset, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("to", "item", "names"),
     [
+        ("labelcloud", "tracks", ()),
+        ("supervisely", "attributes", ("occlusion", "colour")),
+        ("xtreme1", "images", ("rear",)),
         ("kitti", "clouds", ("side",)),
         ("kitti", "images", ("left", "rear")),
         ("kitti", "attributes", ("colour",)),

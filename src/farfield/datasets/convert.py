@@ -126,7 +126,8 @@ def convert(
         dataset: The source.
         target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
         to: ``"kitti"``, ``"openpcdet"``, ``"cirrus"``, ``"boxes-csv"``, ``"openlabel"``, ``"sustechpoints"``,
-            ``"cvat"``, ``"supervisely"``, ``"xtreme1"``, ``"labelcloud"``, ``"nuscenes"``, ``"t4"``, ``"cache"`` or, of K-Radar, ``"radar-store"``.
+            ``"cvat"``, ``"supervisely"``, ``"xtreme1"``, ``"labelcloud"``, ``"nuscenes"``, ``"t4"``, ``"cache"`` or, of
+            K-Radar, ``"radar-store"``.
         boxes: Which boxes to label: the frame's own or its annotation's ``full_boxes``.
         cloud: Which cloud is written (KITTI's velodyne, Cirrus's Gaussian files...); None takes the first.
         overwrite: Write everything anew.

@@ -1,5 +1,4 @@
-"""Data sets as annotation tools take them: SUSTechPOINTS, CVAT (Datumaro), Supervisely, Xtreme1, labelCloud; and
-OpenLABEL's boxes alone."""
+"""Data sets as annotation tools take them, with their clouds; and OpenLABEL's boxes alone."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -159,7 +158,7 @@ def cuboids_of(boxes: Boxes | None, frame: str, annotation: Annotation | None = 
 
 
 def _is_there(value: str | float | bool) -> bool:
-    return value != "" and value == value  # noqa: PLR0124 - NaN differs from itself
+    return value != "" and value == value  # NaN differs from itself
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,10 +12,10 @@ frame's cloud, ``{"0": "a.pcd"}``::
     {"description": "", "key": "c1", "tags": [], "objects": [as above], "framesCount": 2,
      "frames": [{"index": 0, "figures": [as above]}]}
 
-Position is the centre, dimensions the full sizes along the box's own axes, rotation Euler angles in radians. Supervisely
-says (https://developer.supervisely.com/getting-started/supervisely-annotation-format/point-cloud-episodes) that x of the
-dimensions is the width and y the length, and that a box without rotation heads along +y. CVAT writes its own boxes into
-the same keys: x is the length, and a box without rotation heads along +x.
+Position is the centre, dimensions the full sizes along the box's own axes, rotation Euler angles in radians.
+Supervisely says (https://developer.supervisely.com/getting-started/supervisely-annotation-format/point-cloud-episodes)
+that x of the dimensions is the width and y the length, and that a box without rotation heads along +y. CVAT writes its
+own boxes into the same keys: x is the length, and a box without rotation heads along +x.
 """
 
 import hashlib

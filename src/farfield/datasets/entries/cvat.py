@@ -9,7 +9,8 @@ FORMAT = Format(
     reader="farfield.datasets.cvat:Cvat",
     facts=FormatFacts(
         title="CVAT, point cloud tasks",
-        read="clouds with Datumaro's boxes or KITTI raw's tracklets; a Sly Point Cloud export is of the format supervisely",
+        read="clouds with Datumaro's boxes or KITTI raw's tracklets; a Sly Point Cloud export is of the format "
+        "supervisely",
         real_files="KITTI's own tracklets; of Datumaro's boxes no real file seen",
         opens="farfield annotate task",
         source="https://docs.cvat.ai/docs/manual/advanced/formats/",

@@ -9,7 +9,8 @@ FORMAT = Format(
     reader="farfield.datasets.labelcloud:LabelCloud",
     facts=FormatFacts(
         title="labelCloud, projects",
-        read="clouds with boxes in the forms centroid_rel, centroid_abs and vertices, told file by file; no tracks, no segmentation",
+        read="clouds with boxes in the forms centroid_rel, centroid_abs and vertices, told file by file; "
+        "no tracks, no segmentation",
         real_files=NO_REAL_FILE,
         opens="farfield annotate project",
         source="https://ch-sa.github.io/labelCloud",

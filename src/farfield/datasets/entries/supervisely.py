@@ -9,7 +9,8 @@ FORMAT = Format(
     reader="farfield.datasets.supervisely:Supervisely",
     facts=FormatFacts(
         title="Supervisely, point clouds and episodes",
-        read="clouds, boxes, objects over time, tags of objects; CVAT's Sly Point Cloud exports, whose other axes the boxes' longer sides or --label-axes tell; no images",
+        read="clouds, boxes, objects over time, tags of objects; CVAT's Sly Point Cloud exports, "
+        "whose other axes the boxes' longer sides or --label-axes tell; no images",
         real_files=NO_REAL_FILE,
         opens="farfield annotate project",
         source="https://developer.supervisely.com/getting-started/supervisely-annotation-format/point-cloud-episodes",

@@ -9,7 +9,8 @@ FORMAT = Format(
     reader="farfield.datasets.xtreme1:Xtreme1",
     facts=FormatFacts(
         title="Xtreme1, data sets",
-        read="clouds, camera images with their parameters, boxes with tracks and attributes; objects of images are passed over",
+        read="clouds, camera images with their parameters, boxes with tracks and attributes; objects of "
+        "images are passed over",
         real_files=NO_REAL_FILE,
         opens="farfield annotate scene",
         source="https://docs.xtreme1.io/xtreme1-docs/export-data/data-annotation-result",

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from farfield.datasets.labels.formats import BoxLabel
 from farfield.datasets.labels.json_labels import JsonLabels, file_name
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import DatasetError
 from farfield.files import labelcloud, supervisely, xtreme1
 from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.json_text import plain_json
@@ -81,7 +81,8 @@ class SuperviselyLabels(JsonLabels):
 class LabelCloudLabels(JsonLabels):
     """``<sequence>/labels/<frame>.json`` of labelCloud below a folder, or the files that are named.
 
-    An object keeps its form; a new one takes that of the file's first, or ``vertices``. There are no tracks.
+    An object keeps its form; a new one takes that of the file's first, or ``vertices``. There is no place for tracks,
+    which stay in the journal.
 
     Args:
         folder: The folder.
@@ -110,18 +111,7 @@ class LabelCloudLabels(JsonLabels):
         return labelcloud.parse_labelcloud(data, path, angles=self.angles)
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
-        """The file with other labels.
-
-        Raises:
-            FileFormatError: If ``data`` is damaged.
-            ConfigError: If a box has a track, for which there is no place.
-        """
-        tracked = next((label for rows in labels.values() for label in rows if label.track), None)
-        if tracked is not None:
-            raise ConfigError(
-                f"{path}: labelCloud's files hold no tracks, and a {tracked.label} has the track {tracked.track}. Leave "
-                "the track empty, or save in another format."
-            )
+        """The file with other labels; a new one names its cloud."""
         if data is None:
             data = labelcloud.format_labelcloud([], self.clouds.get(path, "")).encode()
         return super().render(data, path, labels)
