@@ -324,6 +324,37 @@ OPENLABEL_CLOUDS = Entries(
 )
 
 
+def segments_files(rows: Sequence[Row], folder: Path) -> tuple[dict[Path, Any], list[Any]]:
+    """A release of one sample whose clouds stand in the world as they are."""
+    small_pcds(folder / "clouds", FRAMES)
+    names = list(dict.fromkeys(written(row) for row in rows))
+    labels: list[dict[str, Any]] = [{"annotations": []} for _ in FRAMES]
+    entries = []
+    for row in rows:
+        places = {"position": axes([row[axis] for axis in "xyz"]), "dimensions": axes([row[axis] for axis in "lwh"])}
+        kind = {"id": 1, "category_id": names.index(written(row)) + 1, "type": "cuboid", "track_id": row["track"]}
+        entries.append(kind | places | {"yaw": row["yaw"]})
+        labels[FRAMES.index(row["frame"])]["annotations"].append(entries[-1])
+    frames = [{"pcd": {"url": f"https://a/{frame}.pcd", "type": "pcd"}, "name": frame} for frame in FRAMES]
+    held = {"ground-truth": {"label_status": "LABELED", "attributes": {"frames": labels}}}
+    sample = {"name": "drive", "attributes": {"frames": frames}, "labels": held}
+    categories = [{"id": number + 1, "name": name} for number, name in enumerate(names)]
+    task = {"task_type": "pointcloud-cuboid-sequence", "task_attributes": {"categories": categories}}
+    return {folder / "v1.json": {"name": "v1", "dataset": task | {"samples": [sample]}}}, entries
+
+
+_SEGMENTS = (*grouped((), ("position", "dimensions")), ("yaw",))
+SEGMENTS = Entries(
+    write=segments_files,
+    numbers=_SEGMENTS,
+    sizes=_SEGMENTS[3:6],
+    places=_SEGMENTS[:3],
+    yaw=("yaw",),
+    whole=(("category_id",),),
+    case=partial(dataset_case, ours=USUAL),
+)
+
+
 # KITTI's tracklets, as KITTI's own page and CVAT's and Datumaro's writers mean them.
 
 _MEANINGS = {"kitti": ("l", "w", "h"), "cvat": ("h", "w", "l"), "datumaro": ("w", "h", "l")}
@@ -413,6 +444,7 @@ _TOOLS = {
     "openlabel clouds": OPENLABEL_CLOUDS,
     "episodes": EPISODES,
     "xtreme1": XTREME1,
+    "segments_ai": SEGMENTS,
     **{f"labelcloud {form}": labelcloud_layout(form) for form in ("centroid_rel", "centroid_abs", "vertices")},
 }
 FAMILIES = (

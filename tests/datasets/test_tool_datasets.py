@@ -10,7 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tool_trees import CAR, LATER, PERSON, TRUTH, write_ann, write_labelcloud, write_openlabel, write_supervisely
+from tool_trees import (
+    CAR,
+    LATER,
+    PERSON,
+    TRUTH,
+    write_ann,
+    write_labelcloud,
+    write_openlabel,
+    write_segments_ai,
+    write_supervisely,
+)
 from tool_trees import write_xtreme1 as write_scenes
 
 from farfield.datasets import open_dataset
@@ -30,6 +40,7 @@ TREES: dict[str, tuple[str, Callable[[Path], Path]]] = {
     "ann of CVAT": ("supervisely", partial(write_ann, axes="cvat")),
     "xtreme1": ("xtreme1", write_scenes),
     "openlabel": ("openlabel", write_openlabel),
+    "segments_ai": ("segments_ai", write_segments_ai),
 }
 
 
@@ -52,18 +63,21 @@ def test_boxes_classes_and_tracks_are_read(tree: str, tmp_path: Path) -> None:
         annotation = data.annotation(data.frame_ids.index(name))
         assert annotation is not None
         assert annotation.original_label == tuple(label for label, _, _ in rows)
-        if format != "labelcloud":
+        if format == "segments_ai":
+            assert annotation.boxes.track_id is not None
+            assert annotation.boxes.track_id.tolist() == [int(track, 16) for _, _, track in rows]
+        elif format != "labelcloud":
             assert annotation.details["track_name"].tolist() == [track for _, _, track in rows]
     tracks = [data[data.frame_ids.index(name)].boxes.track_id[0] for name in TRUTH]  # type: ignore[union-attr,index]
     assert tracks[0] == tracks[1]
 
 
-@pytest.mark.parametrize("tree", ["labelcloud vertices", "episode", "xtreme1", "openlabel"])
+@pytest.mark.parametrize("tree", ["labelcloud vertices", "episode", "xtreme1", "openlabel", "segments_ai"])
 def test_they_fulfil_the_contract(tree: str, tmp_path: Path) -> None:
     check_dataset(open_dataset(TREES[tree][1](tmp_path)))
 
 
-@pytest.mark.parametrize("tree", TREES)
+@pytest.mark.parametrize("tree", [tree for tree in TREES if tree != "segments_ai"])
 def test_one_box_is_edited_in_place(tree: str, tmp_path: Path) -> None:
     data = open_dataset(TREES[tree][1](tmp_path))
     labels = label_format(data)
@@ -83,7 +97,8 @@ def test_one_box_is_edited_in_place(tree: str, tmp_path: Path) -> None:
     for label, box in ((rows[1], moved.box), (rows[2], added.box)):
         assert label.box == pytest.approx(box, abs=1e-12)
     other = next(one for one in data.keys if one != key)
-    assert again[other] == labels.parse(before, path, [other])[other] if data.sequences[0] else True
+    if labels.path(other) == path:
+        assert again[other] == labels.parse(before, path, [other])[other]
     path.write_bytes(after)
     np.testing.assert_allclose(rows_of(open_dataset(tmp_path), "0007")[0], CAR, atol=1e-12)
     gone = labels.parse(labels.render(after, path, {key: []}), path, [key])
@@ -269,3 +284,54 @@ def test_attributes_and_names_of_tracks_go_from_tool_to_tool(tmp_path: Path) -> 
         np.testing.assert_array_equal(rows_of(back, frame.frame_id), rows_of(source, frame.frame_id))
         for name, column in want.details.items():
             assert have.details[name].tolist() == column.tolist()
+
+
+# Segments.ai: worlds, sets of labels, addresses.
+
+
+def edit_release(root: Path, change: Callable[[Any], Any]) -> None:
+    path = root / "v1.json"
+    content = json.loads(path.read_text())
+    change(content["dataset"])
+    path.write_text(json.dumps(content))
+
+
+def test_a_release_stands_in_the_world_and_poses_bring_it_back(tmp_path: Path) -> None:
+    data = open_dataset(write_segments_ai(tmp_path))
+    poses = [frame.world_T_frame for frame in data]
+    assert poses[0] is not None
+    assert poses[1] is not None
+    assert poses[1][:3, 3].tolist() == [501.0, 200.0, 1.0]
+    assert data.annotation(0).details["color"].tolist() == ["red"]  # type: ignore[union-attr]
+    assert label_format(data) is None
+    edit_release(tmp_path, lambda d: [f.pop("ego_pose") for f in d["samples"][0]["attributes"]["frames"]])
+    flat = open_dataset(tmp_path)[0]
+    assert flat.world_T_frame is None
+    assert flat.boxes is not None
+    assert flat.boxes.centre_m[0, 0] > 400, "without a pose the boxes stay where the file has them"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d["task_attributes"]["categories"].pop(), "category_id"),
+        (lambda d: d["samples"][0]["labels"]["ground-truth"]["attributes"]["frames"].pop(), "labels of 2 frames"),
+        (lambda d: d["samples"][0]["attributes"]["frames"][0]["pcd"].update(url="https://x/none.pcd"), "none.pcd"),
+        (lambda d: d["samples"][0]["attributes"]["frames"][0]["ego_pose"]["heading"].update(qw=9), "length 1"),
+        (lambda d: d["samples"][0].update(labels={"a": {"attributes": {}}, "b": {"attributes": {}}}), "ground-truth"),
+        (lambda d: d["samples"].append(d["samples"][0]), "different names"),
+    ],
+)
+def test_a_release_that_does_not_hold_together_is_refused(
+    tmp_path: Path, change: Callable[[Any], Any], words: str
+) -> None:
+    write_segments_ai(tmp_path)
+    edit_release(tmp_path, change)
+    with pytest.raises((FileFormatError, DatasetError), match=words):
+        open_dataset(tmp_path)
+
+
+def test_a_sample_that_nobody_labelled_has_no_annotation(tmp_path: Path) -> None:
+    write_segments_ai(tmp_path)
+    edit_release(tmp_path, lambda d: d["samples"][0].update(labels={"ground-truth": None}))
+    assert [frame.annotation for frame in open_dataset(tmp_path)] == [None, None]

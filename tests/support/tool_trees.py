@@ -4,6 +4,7 @@ labelCloud: https://ch-sa.github.io/labelCloud (conventions, setup), the whole f
 Supervisely: https://developer.supervisely.com/getting-started/supervisely-annotation-format/point-cloud-episodes.
 Xtreme1: https://docs.xtreme1.io/xtreme1-docs (data annotation result, upload dataset, coordinate system).
 OpenLABEL: ASAM OpenLABEL 1.0.0, cuboids, frames and streams.
+Segments.ai: https://docs.segments.ai (label formats, sample formats, structure of the release file).
 """
 
 import json
@@ -162,4 +163,41 @@ def write_openlabel(root: Path) -> Path:
         "frames": frames,
     }
     put(root / "drive.json", {"openlabel": content})
+    return root
+
+
+def write_segments_ai(root: Path) -> Path:
+    """A release of one sample; the car that took the clouds turns and drives, and the boxes stand in the world."""
+    write_clouds(root / "clouds")
+    frames, labels = [], []
+    for number, (name, rows) in enumerate(TRUTH.items()):
+        turn, place = 0.4 + number, np.array([500.0 + number, 200.0, 1.0])
+        heading = {"qx": 0.0, "qy": 0.0, "qz": math.sin(turn / 2), "qw": math.cos(turn / 2)}
+        pose = {"position": xyz(place.tolist()), "heading": heading}
+        address = f"https://example.com/assets/{name}.pcd?signature=a/b"
+        frames.append({"pcd": {"url": address, "type": "pcd"}, "name": name, "ego_pose": pose})
+        world_R_cloud = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+        cuboids = []
+        for label, box, track in rows:
+            flat = world_R_cloud @ box[:2] + place[:2]
+            cuboids.append(
+                {
+                    "id": 1,
+                    "category_id": ("Car", "Pedestrian").index(label) + 1,
+                    "type": "cuboid",
+                    "position": xyz([*flat.tolist(), box[2] + place[2]]),
+                    "dimensions": xyz(box[3:6]),
+                    "yaw": math.remainder(box[6] + turn, 2 * math.pi),
+                    "track_id": int(track, 16),
+                    "is_keyframe": True,
+                    "index": number,
+                    "attributes": {"color": "red"},
+                }
+            )
+        labels.append({"format_version": "0.2", "annotations": cuboids})
+    categories = [{"id": 1, "name": "Car"}, {"id": 2, "name": "Pedestrian"}]
+    held = {"label_status": "LABELED", "attributes": {"format_version": "0.2", "frames": labels}}
+    sample = {"name": "drive", "attributes": {"frames": frames}, "labels": {"ground-truth": held}}
+    task = {"name": "d", "task_type": "pointcloud-cuboid-sequence", "task_attributes": {"categories": categories}}
+    put(root / "v1.json", {"name": "v1", "description": "", "dataset": task | {"samples": [sample]}})
     return root

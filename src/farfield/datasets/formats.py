@@ -91,6 +91,7 @@ _LAST = (  # after all others: a data set's folder may hold a bag, a capture or 
     "xtreme1",
     "labelcloud",
     "openlabel",
+    "segments_ai",
     "folder",
 )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_reading import CloudReading
@@ -104,6 +105,11 @@ class LabelledClouds(Dataset):
         del index
         return None
 
+    def world_T_frame(self, index: int) -> Float[np.ndarray, "4 4"] | None:
+        """The pose of frame ``index`` in the world; None where that is not known."""
+        del index
+        return None
+
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
         member = self.members[index]
@@ -142,6 +148,7 @@ class LabelledClouds(Dataset):
                 **{name: camera_sensor(cameras.get(name)) for name in dict.fromkeys([*images, *cameras])},
             },
             load_annotation=self._loader(index),
+            world_T_frame=self.world_T_frame(index),
             metadata={"files": [str(path) for path in self.files(index)]},
         )
 
