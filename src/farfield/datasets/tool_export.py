@@ -19,6 +19,7 @@ from farfield.files.atomic import write_text
 from farfield.files.cuboids import Cuboid
 from farfield.files.datumaro import format_datumaro
 from farfield.files.images import write_image
+from farfield.files.json_text import read_json
 from farfield.files.labelcloud import format_labelcloud
 from farfield.files.openlabel import format_openlabel
 from farfield.files.pcd import write_pcd
@@ -274,7 +275,7 @@ class ToolExport:
             return
         labels: set[str] = set()
         for path in sorted(self.target.glob("*/annotation.json")):
-            labels |= {str(entry["classTitle"]) for entry in json.loads(path.read_text(encoding="utf-8"))["objects"]}
+            labels |= {str(entry["classTitle"]) for entry in read_json(path)["objects"]}
         _written(self.target / "meta.json", format_meta(sorted(labels)))
 
     def _labelcloud_frame(self, frame: Frame) -> list[Path]:

@@ -153,15 +153,15 @@ def _frame(
 
 def _pose(value: Any, path: Path | str, where: str) -> Float[np.ndarray, "4 4"]:
     held = _mapping(value, path, where)
-    place = xyz(held.get("position"), path, where, "position")
-    if max(map(abs, place)) > _FARTHEST_M:
-        raise FileFormatError(path, where=where, expected="a position within 100,000 km", got=repr(place))
+    origin = xyz(held.get("position"), path, where, "position")
+    if max(map(abs, origin)) > _FARTHEST_M:
+        raise FileFormatError(path, where=where, expected="a position within 100,000 km", got=repr(origin))
     heading = held.get("heading")
     row = [heading.get(name) for name in ("qx", "qy", "qz", "qw")] if isinstance(heading, dict) else None
     turn = np.array(numbers(row, 4, path, where, "heading with qx, qy, qz, qw"))
     check_turns(turn[None], path, where, upright=False)
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation_of(turn), place
+    pose[:3, :3], pose[:3, 3] = rotation_of(turn), origin
     return pose
 
 

@@ -65,15 +65,15 @@ def parse_episode(data: bytes, path: Path | str, *, axes: Axes = "supervisely") 
     objects = _objects(content, path)
     cuboids: list[CuboidEntry] = []
     numbers: set[int] = set()
-    for place, frame in enumerate(_entries(content, "frames", path, "the root")):
-        number = _whole(frame.get("index"), path, f"frame entry {place}", "index")
+    for row, frame in enumerate(_entries(content, "frames", path, "the root")):
+        number = _whole(frame.get("index"), path, f"frame entry {row}", "index")
         if number in numbers:
-            raise FileFormatError(path, where=f"frame entry {place}", expected="each frame once", got=f"{number} twice")
+            raise FileFormatError(path, where=f"frame entry {row}", expected="each frame once", got=f"{number} twice")
         numbers.add(number)
         for index, figure in enumerate(_entries(frame, "figures", path, f"frame {number}")):
             if figure.get("geometryType") == _KIND:
                 cuboid = _cuboid(figure, objects, axes, path, f"frame {number}, figure {index}", str(number))
-                cuboids.append(CuboidEntry((*before, "frames", place, "figures", index), cuboid))
+                cuboids.append(CuboidEntry((*before, "frames", row, "figures", index), cuboid))
     return tuple(cuboids)
 
 
@@ -132,8 +132,8 @@ def values(cuboid: Cuboid, axes: Axes = "cvat") -> dict[tuple[str | int, ...], A
 
 def with_class(text: str, key: str, label: str) -> str:
     """The text with another class of an object."""
-    place = _object_places(text).index(key)
-    return set_value(text, (*_before(text), "objects", place, "classTitle"), label)
+    row = _object_places(text).index(key)
+    return set_value(text, (*_before(text), "objects", row, "classTitle"), label)
 
 
 def with_new(text: str, cuboid: Cuboid, axes: Axes = "cvat", *, episode: bool = False) -> str:
@@ -145,10 +145,10 @@ def with_new(text: str, cuboid: Cuboid, axes: Axes = "cvat", *, episode: bool = 
     if not episode:
         return append(text, (*before, "figures"), _figure(mark, key, cuboid, axes))
     frames = _root(text)["frames"]
-    place = next((i for i, frame in enumerate(frames) if str(frame["index"]) == cuboid.frame), len(frames))
-    if place == len(frames):
+    row = next((i for i, frame in enumerate(frames) if str(frame["index"]) == cuboid.frame), len(frames))
+    if row == len(frames):
         text = append(text, (*before, "frames"), {"index": int(cuboid.frame), "figures": []})
-    return append(text, (*before, "frames", place, "figures"), _figure(mark, key, cuboid, axes))
+    return append(text, (*before, "frames", row, "figures"), _figure(mark, key, cuboid, axes))
 
 
 def _object(key: str, cuboid: Cuboid) -> dict[str, Any]:

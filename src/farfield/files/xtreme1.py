@@ -47,19 +47,19 @@ def parse_xtreme1(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
     content = parse_json(data, path, max_bytes=MAX_BYTES)
     sources = content if isinstance(content, list) else [content]
     boxes: dict[int, list[CuboidEntry]] = {}
-    for place, source in enumerate(sources):
+    for row, source in enumerate(sources):
         objects = source.get("objects") if isinstance(source, dict) else None
         if not isinstance(objects, list) or not all(isinstance(entry, dict) for entry in objects):
-            raise FileFormatError(path, where=f"source {place}", expected="a list objects", got=repr(source)[:80])
-        steps: tuple[str | int, ...] = (place,) if isinstance(content, list) else ()
-        boxes[place] = [
-            CuboidEntry((*steps, "objects", number), _cuboid(entry, path, f"source {place}, object {number}"))
+            raise FileFormatError(path, where=f"source {row}", expected="a list objects", got=repr(source)[:80])
+        steps: tuple[str | int, ...] = (row,) if isinstance(content, list) else ()
+        boxes[row] = [
+            CuboidEntry((*steps, "objects", number), _cuboid(entry, path, f"source {row}, object {number}"))
             for number, entry in enumerate(objects)
             if entry.get("type") == _KIND
         ]
-    filled = [place for place, entries in boxes.items() if entries]
+    filled = [row for row, entries in boxes.items() if entries]
     if len(filled) > 1:
-        filled = [place for place in filled if sources[place].get("sourceName") in BY_PEOPLE]
+        filled = [row for row in filled if sources[row].get("sourceName") in BY_PEOPLE]
         if len(filled) != 1:
             names = [source.get("sourceName") for source in sources]
             expected = f"boxes of one source, or one of the name {' or '.join(BY_PEOPLE)}"
@@ -94,9 +94,9 @@ def _track(value: Any, path: Path | str, where: str, name: str) -> str:
 def _class_values(entry: Mapping[str, Any]) -> dict[str, tuple[int, Any]]:
     """Place and value of each plain attribute of an object."""
     held = entry.get("classValues")
-    rows = [(place, row) for place, row in enumerate(held if isinstance(held, list) else []) if isinstance(row, dict)]
-    named = {row["name"]: (place, row.get("value")) for place, row in rows if is_name(row.get("name"))}
-    return {name: (place, value) for name, (place, value) in named.items() if attributes_of({name: value})}
+    rows = [(i, row) for i, row in enumerate(held if isinstance(held, list) else []) if isinstance(row, dict)]
+    named = {row["name"]: (i, row.get("value")) for i, row in rows if is_name(row.get("name"))}
+    return {name: (i, value) for name, (i, value) in named.items() if attributes_of({name: value})}
 
 
 def values(cuboid: Cuboid, entry: Mapping[str, Any] | None = None) -> Mapping[tuple[str | int, ...], Any]:
@@ -113,9 +113,9 @@ def values(cuboid: Cuboid, entry: Mapping[str, Any] | None = None) -> Mapping[tu
     changes |= {("contour", "rotation3D", "z"): wrapped(cuboid.box[6]), ("className",): cuboid.label}
     track = "trackId" if entry is None or entry.get("trackId") or not entry.get("trackName") else "trackName"
     changes |= {(track,): cuboid.track}
-    for name, (place, _) in _class_values(entry or {}).items():
+    for name, (row, _) in _class_values(entry or {}).items():
         if name in cuboid.attributes:
-            changes[("classValues", place, "value")] = cuboid.attributes[name]
+            changes[("classValues", row, "value")] = cuboid.attributes[name]
     return changes
 
 
@@ -156,9 +156,9 @@ def with_new(text: str, cuboid: Cuboid) -> str:
     if not content:
         return append(text, (), _source([entry_of(cuboid, mark)]))
     entries = parse_xtreme1(text.encode(), "")
-    people = [place for place, source in enumerate(content) if source.get("sourceName") in BY_PEOPLE]
-    place = entries[0].steps[0] if entries else [*people, 0][0]
-    return append(text, (place, "objects"), entry_of(cuboid, mark))
+    people = [row for row, source in enumerate(content) if source.get("sourceName") in BY_PEOPLE]
+    row = entries[0].steps[0] if entries else [*people, 0][0]
+    return append(text, (row, "objects"), entry_of(cuboid, mark))
 
 
 def _source(objects: Sequence[Any]) -> dict[str, Any]:
