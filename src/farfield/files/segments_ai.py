@@ -207,7 +207,7 @@ def _cuboid(
     return Cuboid(
         label=classes[number],
         box=checked(centre.tolist(), size.tolist(), yaw, path, where, tilt_rad=tilt),
-        track="" if track is None else word(track, path, where, "track_id"),
+        track="" if track is None else str(_whole(track, path, where, "track_id")),
         attributes=attributes_of(entry.get("attributes")),
     )
 

@@ -88,7 +88,11 @@ def _cuboid(entry: Mapping[str, Any], path: Path | str, where: str) -> Cuboid:
 
 
 def _track(value: Any, path: Path | str, where: str, name: str) -> str:
-    return "" if value in (None, "") and not isinstance(value, bool) else word(value, path, where, name)
+    if value in (None, "", -1) and not isinstance(value, bool):
+        return ""
+    if isinstance(value, int) and value < 0:
+        raise FileFormatError(path, where=where, expected=f"a name or a whole number from 0 on as {name}", got=f"{value}")
+    return word(value, path, where, name)
 
 
 def _class_values(entry: Mapping[str, Any]) -> dict[str, tuple[int, Any]]:
