@@ -272,6 +272,24 @@ def test_clouds_by_stream_name_and_number(tmp_path: Path) -> None:
         open_dataset(tmp_path)
 
 
+@pytest.mark.parametrize("write", [write_openlabel, write_segments_ai])
+def test_a_pointer_in_the_place_of_the_only_label_file_is_named(write: Callable[[Path], Path], tmp_path: Path) -> None:
+    (path,) = write(tmp_path).glob("*.json")
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0123456789abcdef\nsize 12345\n")
+    with pytest.raises(FileFormatError, match="git lfs pull"):
+        open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("track", [-7, 1.5, True, ["a"]])
+def test_a_track_that_is_none_is_refused(tmp_path: Path, track: Any) -> None:
+    path = write_scenes(tmp_path) / "scene_1" / "result" / "0007.json"
+    content = json.loads(path.read_text())
+    content[0]["objects"][1]["trackId"] = track
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match=r"0007\.json.*trackId"):
+        open_dataset(tmp_path).annotation(0)
+
+
 def test_attributes_and_names_of_tracks_go_from_tool_to_tool(tmp_path: Path) -> None:
     source = open_dataset(write_scenes(tmp_path / "source"))
     convert(source, tmp_path / "cvat", to="cvat")

@@ -16,6 +16,7 @@ from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.json_text import parse_json
 from farfield.files.openlabel import frame_name, parse_openlabel, parsed_frames
+from farfield.files.stand_ins import stand_in
 from farfield.frame.cloud import CLOUD_SUFFIXES
 
 _HEAD_BYTES, _DEEP = 4096, 3
@@ -24,11 +25,14 @@ _LATEST_S = 1 << 33  # of a timestamp
 
 def is_openlabel(root: Path) -> bool:
     """Whether a folder holds OpenLABEL's files, with clouds in it."""
-    return bool(label_files(root)) and next(_clouds_below(root), None) is not None
+    files = label_files(root)
+    if clouds_in(root) and not any(b'"openlabel"' in _head(path) for path in files):
+        return False  # own folders, whose label files may be stand-ins
+    return bool(files) and next(_clouds_below(root), None) is not None
 
 
 def label_files(root: Path) -> list[Path]:
-    """The label files in a folder, or in those in it."""
+    """The label files in a folder, or in those in it; what stands in the place of one counts, and is named when read."""
     for pattern in ("*.json", "*/*.json"):
         paths = sorted(path for path in root.glob(pattern) if path.is_file() and not path.name.startswith("."))
         files = [path for path in paths if _is_of_it(path)]
@@ -38,8 +42,13 @@ def label_files(root: Path) -> list[Path]:
 
 
 def _is_of_it(path: Path) -> bool:
+    head = _head(path)
+    return b'"openlabel"' in head or stand_in(head) is not None
+
+
+def _head(path: Path) -> bytes:
     with path.open("rb") as file:
-        return b'"openlabel"' in file.read(_HEAD_BYTES)
+        return file.read(_HEAD_BYTES)
 
 
 def _clouds_below(folder: Path, deep: int = _DEEP) -> Iterator[Path]:

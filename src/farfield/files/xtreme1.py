@@ -91,7 +91,9 @@ def _track(value: Any, path: Path | str, where: str, name: str) -> str:
     if value in (None, "", -1) and not isinstance(value, bool):
         return ""
     if isinstance(value, int) and value < 0:
-        raise FileFormatError(path, where=where, expected=f"a name or a whole number from 0 on as {name}", got=f"{value}")
+        raise FileFormatError(
+            path, where=where, expected=f"a name or a whole number from 0 on as {name}", got=f"{value}"
+        )
     return word(value, path, where, name)
 
 
