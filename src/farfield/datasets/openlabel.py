@@ -32,7 +32,7 @@ def is_openlabel(root: Path) -> bool:
 
 
 def label_files(root: Path) -> list[Path]:
-    """The label files in a folder, or in those in it; what stands in the place of one counts, and is named when read."""
+    """The label files in a folder, or in those in it; a stand-in counts, and is named when read."""
     for pattern in ("*.json", "*/*.json"):
         paths = sorted(path for path in root.glob(pattern) if path.is_file() and not path.name.startswith("."))
         files = [path for path in paths if _is_of_it(path)]
