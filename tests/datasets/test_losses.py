@@ -187,14 +187,15 @@ def test_the_losses_of_openlabel(everything: Dataset, tmp_path: Path) -> None:
         label=[label.label for label in labels],
         track_id=np.array([int(label.track) for label in labels]),
     )
-    assert not any(label.attributes or label.score for label in labels)
+    assert not any(label.score for label in labels)
+    details = {name: np.array([label.attributes[name] for label in labels]) for name in labels[0].attributes}
     frames = json.loads(path.read_text())["openlabel"]["frames"]
     times = [int(row["frame_properties"]["timestamp"].replace(".", "")) for row in frames.values()]
     got = Frame(
         sequence="drive 1",
         frame_id=frames["1"]["frame_properties"]["frame_id"],
         time_ns=times[1],
-        load_annotation=Constant(Annotation(boxes=boxes)),
+        load_annotation=Constant(Annotation(boxes=boxes, details=details)),
     )
     named = {loss.item: loss for loss in losses(everything, "openlabel")}
     assert len(frames) == 3, "empty frames are held"

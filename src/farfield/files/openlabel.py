@@ -138,14 +138,14 @@ def _val(cuboid: Cuboid) -> list[float]:
 def entry_of(cuboid: Cuboid) -> dict[str, Any]:
     """A whole new cuboid."""
     entry: dict[str, Any] = {"name": "box", "val": _val(cuboid), "coordinate_system": SYSTEM}
-    kinds = {"text": str, "boolean": bool, "num": float}
+    kinds: dict[str, tuple[type, ...]] = {"text": (str,), "boolean": (bool,), "num": (int, float)}
     groups = {
         kind: [
             {"name": name, "val": attribute}
             for name, attribute in cuboid.attributes.items()
-            if type(attribute) is python_type
+            if type(attribute) in python_types
         ]
-        for kind, python_type in kinds.items()
+        for kind, python_types in kinds.items()
     }
     held = {kind: group for kind, group in groups.items() if group}
     return entry | ({"attributes": held} if held else {})
