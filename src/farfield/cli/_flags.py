@@ -44,7 +44,10 @@ class FileFlags:
         tables: Folder of nuScenes' or TruckScenes' tables, such as v1.0-mini, where there are several.
         label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
             LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre). Of OpenPCDet's and
-            mmdetection3d's labels lidar or lidar-bottom; decided by the points in the boxes unless given.
+            mmdetection3d's labels lidar or lidar-bottom; decided by the points in the boxes unless given. Of
+            Supervisely's point clouds supervisely (a box's width is x) or cvat (its length is); decided by the longer
+            sides of vehicles and bicycles unless given.
+        label_angles: What rotations in labelCloud's files count, radians or degrees; what a file shows unless given.
         reader: Change one option of the format's reader that has no flag, as name=value, such as whole_scenes=true or
             sweeps=5 of nuScenes; may be given several times. `farfield formats NAME` lists them.
     """
@@ -55,7 +58,8 @@ class FileFlags:
     point_times: PointTimes = "auto"
     radars: tuple[str, ...] = ()
     tracklets: Literal["kitti", "cvat", "datumaro"] | None = None
-    label_axes: Literal["camera", "lidar", "lidar-bottom"] | None = None
+    label_axes: Literal["camera", "lidar", "lidar-bottom", "supervisely", "cvat"] | None = None
+    label_angles: Literal["radians", "degrees"] | None = None
     size_order: Literal["wlh", "lwh"] | None = None
     tables: str | None = None
     reader: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()

@@ -23,6 +23,9 @@ def run(
         "openlabel",
         "sustechpoints",
         "cvat",
+        "supervisely",
+        "xtreme1",
+        "labelcloud",
         "nuscenes",
         "cache",
         "radar-store",
@@ -54,6 +57,7 @@ def run(
       farfield convert data/kitti data/as_cirrus --to cirrus
       farfield convert data/sim data/scenes --to sustechpoints
       farfield convert data/sim data/task --to cvat
+      farfield convert data/sim data/project --to supervisely
       farfield convert data/sim data/as_nuscenes --to nuscenes
       farfield convert data/kradar data/store --to radar-store
       farfield convert data/kradar data/store --to radar-store --verify

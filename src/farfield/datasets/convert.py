@@ -34,8 +34,11 @@ from farfield.datasets.openpcdet import OPENPCDET_HOLDS, OpenPcdetWriter
 from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.tool_export import (
     CVAT_HOLDS,
+    LABELCLOUD_HOLDS,
     OPENLABEL_HOLDS,
+    SUPERVISELY_HOLDS,
     SUSTECHPOINTS_HOLDS,
+    XTREME1_HOLDS,
     AnnotationTool,
     BoxSource,
     ToolExport,
@@ -62,6 +65,9 @@ Target = Literal[
     "openlabel",
     "sustechpoints",
     "cvat",
+    "supervisely",
+    "xtreme1",
+    "labelcloud",
     "nuscenes",
     "t4",
     "cache",
@@ -86,6 +92,9 @@ CAPACITIES: Mapping[str, Capacity] = {
     "openlabel": OPENLABEL_HOLDS,
     "sustechpoints": SUSTECHPOINTS_HOLDS,
     "cvat": CVAT_HOLDS,
+    "supervisely": SUPERVISELY_HOLDS,
+    "xtreme1": XTREME1_HOLDS,
+    "labelcloud": LABELCLOUD_HOLDS,
     "nuscenes": NUSCENES_HOLDS,
     "t4": T4_HOLDS,
     "cache": CACHE_HOLDS,
@@ -117,7 +126,8 @@ def convert(
         dataset: The source.
         target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
         to: ``"kitti"``, ``"openpcdet"``, ``"cirrus"``, ``"boxes-csv"``, ``"openlabel"``, ``"sustechpoints"``,
-            ``"cvat"``, ``"nuscenes"``, ``"t4"``, ``"cache"`` or, of K-Radar, ``"radar-store"``.
+            ``"cvat"``, ``"supervisely"``, ``"xtreme1"``, ``"labelcloud"``, ``"nuscenes"``, ``"t4"``, ``"cache"`` or, of
+            K-Radar, ``"radar-store"``.
         boxes: Which boxes to label: the frame's own or its annotation's ``full_boxes``.
         cloud: Which cloud is written (KITTI's velodyne, Cirrus's Gaussian files...); None takes the first.
         overwrite: Write everything anew.
@@ -167,7 +177,7 @@ def convert(
             _finish_numbered(dataset, target, image_sets)
         if to == "kitti":
             _finish_kitti(dataset, target)
-        if isinstance(work, SchemaExport):
+        if isinstance(work, SchemaExport | ToolExport):
             work.finish()
     return outcome
 
@@ -304,7 +314,7 @@ def check_file_names(dataset: Dataset, to: str) -> None:
     if to not in ("boxes-csv", "nuscenes", "t4", *get_args(AnnotationTool)):
         return
     names: list[tuple[str, ...]] = [(sequence,) for sequence in dict.fromkeys(dataset.sequences)]
-    names += list(dict.fromkeys(dataset.keys)) if to in ("sustechpoints", "cvat") else []
+    names += list(dict.fromkeys(dataset.keys)) if to in get_args(AnnotationTool) and to != "openlabel" else []
     name_of_file: dict[tuple[str, ...], tuple[str, ...]] = {}
     for name in names:
         file = tuple(file_name(part).casefold() for part in name)

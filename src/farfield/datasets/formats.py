@@ -88,6 +88,11 @@ _LAST = (  # after all others: a data set's folder may hold a bag, a capture or 
     "open_sweeps",
     "sustechpoints",
     "cvat",
+    "supervisely",
+    "xtreme1",
+    "labelcloud",
+    "openlabel",
+    "segments_ai",
     "folder",
 )
 

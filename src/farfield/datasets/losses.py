@@ -67,6 +67,7 @@ class Capacity:
             must be alike, for example.
         pictures: Which images and calibrations are written.
         attributes: Names of the annotation's details that are held.
+        any_attributes: Whether all details are held that are a text, a number or a flag of each box.
         spelled: How a class is spelled in the files.
         originals: Classes as sources spell them that are kept so.
         aliases: What a spelled class is when it is read again; None: as it is spelled.
@@ -91,6 +92,7 @@ class Capacity:
     columns_if: Mapping[str, Callable[[Frame, str], bool]] | None = None
     pictures: Pictures = "none"
     attributes: frozenset[str] = frozenset()
+    any_attributes: bool = False
     spelled: Callable[[str], str] = str
     originals: frozenset[str] = frozenset()
     aliases: Mapping[str, str] | None = None
@@ -262,7 +264,7 @@ def _of_annotation(
             for label, spelled in zip(labels, original, strict=True)
             if spelled not in (label, capacity.spelled(label), *capacity.originals)
         ],
-        "attributes": [name for name in annotation.details if name not in capacity.attributes],
+        "attributes": [name for name in annotation.details if name not in _attributes(annotation, capacity)],
         "visibility": _some(annotation.visibility is not None and len(boxes)),
         "moving": _some(annotation.moving is not None and len(boxes)),
         "extent": [f"{extent}, read again as {capacity.extent}"] if extent != capacity.extent and len(boxes) else [],
@@ -271,6 +273,19 @@ def _of_annotation(
         "unboxed": [name for name, rows in annotation.unboxed.items() if len(rows)],
         "region": [field] if (annotation.region is not None) != capacity.field_of_camera else [],
         "empty frames": _some(not len(boxes)),
+    }
+
+
+def _attributes(annotation: Annotation, capacity: Capacity) -> frozenset[str]:
+    """Names of the details that are held."""
+    return capacity.attributes | (frozenset(plain_details(annotation)) if capacity.any_attributes else frozenset())
+
+
+def plain_details(annotation: Annotation) -> dict[str, list[Any]]:
+    """The details of an annotation that are a text, a number or a flag of each box."""
+    columns = {name: np.asarray(values) for name, values in annotation.details.items()}
+    return {
+        name: column.tolist() for name, column in columns.items() if column.ndim == 1 and column.dtype.kind in "biufU"
     }
 
 

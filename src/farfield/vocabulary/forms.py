@@ -37,7 +37,7 @@ LABEL_FORMS: Mapping[str, FormFacts] = {
     ),
     "openlabel": FormFacts(
         title="OpenLABEL",
-        holds="boxes, classes, tracks, times; one file a sequence",
+        holds="boxes, classes, tracks, attributes, times; one file a sequence",
         real_files="no real file seen",
         source="https://www.asam.net/standards/detail/openlabel/",
     ),
@@ -49,9 +49,21 @@ LABEL_FORMS: Mapping[str, FormFacts] = {
     ),
     "cvat": FormFacts(
         title="CVAT (Datumaro)",
-        holds="boxes, classes, tracks; one file a sequence",
+        holds="boxes, classes, tracks, attributes; one file a sequence",
         real_files="no real file seen",
         source="https://docs.cvat.ai/docs/manual/advanced/formats/",
+    ),
+    "xtreme1": FormFacts(
+        title="Xtreme1",
+        holds="boxes, classes, tracks, attributes; one file a frame",
+        real_files="no real file seen",
+        source="https://docs.xtreme1.io/xtreme1-docs/export-data/data-annotation-result",
+    ),
+    "labelcloud": FormFacts(
+        title="labelCloud",
+        holds="boxes and classes; one file a frame, written as vertices",
+        real_files="no real file seen",
+        source="https://ch-sa.github.io/labelCloud",
     ),
 }
 """By the names of :mod:`farfield.datasets.labels.formats`."""
