@@ -219,6 +219,8 @@ def score(
     format: str = "boxes-csv",
     reference: str = "",
     conditions: Path | str | None = None,
+    axes: str = "",
+    class_names: Sequence[str] = (),
     **settings: Any,
 ) -> "Result":
     """Score the boxes of any detector against annotated boxes, without a model: what ``farfield score`` does.
@@ -228,10 +230,13 @@ def score(
         labels: File, or folder of files of equal stems, of annotated boxes; or a data set, or its folder, whose
             annotation is then seen in the coordinates of the predictions.
         protocol: As of :func:`evaluate`; also ``"tracking"`` and ``"nuscenes-tracking"``.
-        format: Format of both: ``"boxes-csv"``, ``"kitti"``, ``"kitti-tracking"`` or ``"nuscenes"``.
+        format: Format of both: ``"boxes-csv"``, ``"kitti"``, ``"kitti-tracking"``, ``"nuscenes"``, ``"argoverse2"``,
+            ``"waymo"``, ``"kradar"``, ``"openpcdet"`` or ``"mmdetection3d"``.
         reference: Coordinates of boxes whose files do not name them, such as ``"radar"``.
         conditions: For ``"kradar"``: a CSV with the columns sequence, road, time, weather; a K-Radar tree with its
             description.txt files; or ``"published"`` for the table of K-Radar's 58 sequences.
+        axes: For ``"kradar"``: axes of the kit's texts; unless given they are decided from the boxes, or refused.
+        class_names: For ``"mmdetection3d"``: the model's classes in the order of their numbers.
         **settings: Settings of the protocol, such as ``label`` (the most frequent class unless given),
             ``range_bins_m``, ``region``, ``iou``.
 
@@ -245,7 +250,9 @@ def score(
     from farfield.evaluation import read_detections, with_conditions
     from farfield.metrics import PROTOCOLS
 
-    detections = read_detections(predictions, labels, format=format, reference=reference)
+    detections = read_detections(
+        predictions, labels, format=format, reference=reference, axes=axes, class_names=class_names
+    )
     if conditions is not None:
         detections = with_conditions(detections, PROTOCOLS[protocol], conditions)
     return detections.score(protocol, **settings)

@@ -27,6 +27,7 @@ def run(
         "xtreme1",
         "labelcloud",
         "nuscenes",
+        "coco",
         "cache",
         "radar-store",
     ],
@@ -59,6 +60,7 @@ def run(
       farfield convert data/sim data/task --to cvat
       farfield convert data/sim data/project --to supervisely
       farfield convert data/sim data/as_nuscenes --to nuscenes
+      farfield convert data/kitti image_boxes.json --to coco
       farfield convert data/kradar data/store --to radar-store
       farfield convert data/kradar data/store --to radar-store --verify
 
@@ -69,7 +71,8 @@ def run(
 
     Args:
         source: Folder of the data set; its format is recognised.
-        target: Folder to write into, or a .csv file with --to boxes-csv; none with --to cache.
+        target: Folder to write into, or a .csv file with --to boxes-csv, a .json file with --to coco (the boxes in
+            images); none with --to cache.
         to: The layout to write.
         dialect: With --to nuscenes: nuScenes' own tree, or T4's, a data set a scene.
         reading: How the files are read.
@@ -99,7 +102,7 @@ def run(
     if verify and (target is None or to == "cache"):
         raise ConfigError("convert: expected the folder that was written with --verify, got none")
     if target is not None and not verify and to != "cache":
-        as_file = to == "boxes-csv" and target.suffix == ".csv"
+        as_file = (to, target.suffix) in (("boxes-csv", ".csv"), ("coco", ".json"))
         check_outputs(
             (source, *reading.paths),
             files={"target": target if as_file else None},

@@ -18,6 +18,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.datasets.cirrus.writer import CIRRUS_HOLDS
 from farfield.datasets.cloud_caches import convert_to_cache
+from farfield.datasets.coco import COCO_HOLDS, write_coco
 from farfield.datasets.kitti.object import KITTI_HOLDS, KittiWriter
 from farfield.datasets.kradar.store import (
     JOURNAL_NAME,
@@ -70,6 +71,7 @@ Target = Literal[
     "labelcloud",
     "nuscenes",
     "t4",
+    "coco",
     "cache",
     "radar-store",
 ]
@@ -97,6 +99,7 @@ CAPACITIES: Mapping[str, Capacity] = {
     "labelcloud": LABELCLOUD_HOLDS,
     "nuscenes": NUSCENES_HOLDS,
     "t4": T4_HOLDS,
+    "coco": COCO_HOLDS,
     "cache": CACHE_HOLDS,
     "radar-store": STORE_HOLDS,
 }
@@ -162,6 +165,12 @@ def convert(
     if to != "boxes-csv" or target.suffix != ".csv":
         check_file_names(dataset, to)
     _check_clouds(dataset, to)
+    if to == "coco":
+        if target.suffix != ".json" or target.is_dir():
+            raise ConfigError(f"{target}: expected the name of a file ending in .json with to='coco'")
+        with held(target, file=True):
+            write_coco(dataset, target)
+        return Outcome(written=1)
     if to == "boxes-csv" and target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
         unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
         with held(target, file=True):

@@ -224,7 +224,7 @@ def _results() -> list[FormEntry]:
             name=name,
             facts=_facts(RESULT_FORMS, name, "results"),
             uses=(
-                *(["predict --format"] if name in RESULT_FORMATS else []),
+                *(["predict --to"] if name in RESULT_FORMATS else []),
                 *(["score --format"] if name in SCORED_FORMS else []),
             ),
         )

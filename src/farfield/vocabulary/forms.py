@@ -100,6 +100,24 @@ RESULT_FORMS: Mapping[str, FormFacts] = {
         real_files="Waymo's own metric test: 1,010 annotated and 2,263 predicted boxes",
         source="https://github.com/waymo-research/waymo-open-dataset",
     ),
+    "kradar": FormFacts(
+        title="folders of K-Radar's kit by condition",
+        holds="boxes, classes, scores, annotated boxes, time, road and weather; KITTI's columns with exchanged axes",
+        real_files="no real file seen",
+        source="https://github.com/kaist-avelab/K-Radar/blob/main/utils/util_pipeline.py",
+    ),
+    "openpcdet": FormFacts(
+        title="OpenPCDet's result texts",
+        holds="boxes in the camera's axes, classes, scores, 2D boxes; a file a frame",
+        real_files="no real file seen",
+        source="https://github.com/open-mmlab/OpenPCDet/blob/master/pcdet/datasets/kitti/kitti_dataset.py",
+    ),
+    "mmdetection3d": FormFacts(
+        title="mmdetection3d's inferencer JSON",
+        holds="boxes of the LiDAR or the camera, numbered classes, scores, velocities; a file a frame",
+        real_files="no real file seen",
+        source="https://github.com/open-mmlab/mmdetection3d/blob/main/mmdet3d/apis/inferencers/base_3d_inferencer.py",
+    ),
 }
 """By the names of :mod:`farfield.metrics.box_files` and :mod:`farfield.datasets.result_files`."""
 
