@@ -73,6 +73,8 @@ _HOMES = {
     "transfer": "farfield.api:transfer",
     "transform_frame": "farfield.frame:transform_frame",
 }
+_ROOMS = ("metrics",)
+"""Rooms that are reached as ``ff.metrics`` without an import of their own."""
 _OLD_NAMES = {
     "dataset": "register_dataset",
     "detector": "register_detector",
@@ -114,6 +116,8 @@ def __getattr__(name: str) -> _typing.Any:
     if name in _OLD_NAMES:
         _warnings.warn(f"farfield.{name} is now farfield.{_OLD_NAMES[name]}", DeprecationWarning, stacklevel=2)
         name = _OLD_NAMES[name]
+    if name in _ROOMS:
+        return _importlib.import_module(f"farfield.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'farfield' has no attribute {name!r}")
     module, _, attribute = _HOMES[name].partition(":")

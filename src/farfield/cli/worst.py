@@ -1,0 +1,4 @@
+"""stub"""
+def run() -> int:
+    """List."""
+    return 0
