@@ -39,6 +39,7 @@ if _typing.TYPE_CHECKING:
     from farfield.detectors.spec import detector as register_detector
     from farfield.errors import FarfieldError
     from farfield.frame import Annotation, Cloud, Frame, Sensor, merge_clouds, transform_frame
+    from farfield.frame.door import collate
     from farfield.geometry.boxes import Boxes
     from farfield.metrics.detections import Detections
     from farfield.metrics.detections import protocol as register_protocol
@@ -57,6 +58,7 @@ _HOMES = {
     "Sensor": "farfield.frame:Sensor",
     "adapt": "farfield.api:adapt",
     "calibrate": "farfield.api:calibrate",
+    "collate": "farfield.frame.door:collate",
     "detect": "farfield.api:detect",
     "evaluate": "farfield.api:evaluate",
     "load_detector": "farfield.api:load_detector",
@@ -94,6 +96,7 @@ __all__ = [
     "Sensor",
     "adapt",
     "calibrate",
+    "collate",
     "detect",
     "evaluate",
     "load_detector",

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from farfield.errors import ConfigError
-from farfield.files.boxes_csv import BoxColumns
+from farfield.files.tables import columns_in
 from farfield.geometry.boxes import Boxes
 
 _ROWS = ("boxes", "labels", "scores")
@@ -45,8 +45,8 @@ def boxes_of(
         boxes = _of_rows(
             value["boxes"], what, label if names is None else _names(names, classes, what), value.get("scores")
         )
-    elif isinstance(value, BoxColumns) and not hasattr(value, "__array_interface__"):
-        boxes = Boxes.from_pandas(value)
+    elif (columns := columns_in(value)) is not None:
+        boxes = Boxes.from_pandas(columns)
     elif isinstance(value, str | bytes) or value is None:
         raise ConfigError(f"{what}: expected {_TAKES}; got {type(value).__name__}")
     else:
