@@ -41,7 +41,15 @@ def test_everything_that_is_a_sweep_is_detected_in(points: np.ndarray, tmp_path:
     for path in paths:
         np.save(path, points)
     columns = {**dict(zip("xyz", points.T, strict=False)), "intensity": points[:, 3], "ring": np.arange(400)}
-    one: list[Any] = [paths[0], str(paths[0]), points, ff.Cloud.of(points), ff.Frame.of(points), columns, Table(columns)]
+    one: list[Any] = [
+        paths[0],
+        str(paths[0]),
+        points,
+        ff.Cloud.of(points),
+        ff.Frame.of(points),
+        columns,
+        Table(columns),
+    ]
     for data in one:
         assert len(ff.detect(one_car, data).boxes) == 1, type(data)
         np.testing.assert_allclose(dataset_of(data)[0].cloud().points_m, points[:, :3])
@@ -55,7 +63,7 @@ def test_a_loaded_detector_takes_a_path_and_an_array(points: np.ndarray, tmp_pat
     pytest.importorskip("torch")
     from tests.detectors.small import small_detector
 
-    detector = small_detector()
+    detector = small_detector("pointpillars")
     np.save(tmp_path / "sweep.npy", points)
     boxes = [detector(given) for given in (points, tmp_path / "sweep.npy", str(tmp_path / "sweep.npy"))]
     assert [len(b) for b in boxes] == [len(boxes[0])] * 3

@@ -64,7 +64,10 @@ def test_plain_arrays_dictionaries_and_batches_are_taken() -> None:
     named = {"boxes": rows, "scores": np.array([0.9]), "labels": np.array([0])}
     batch.update([named], [{"boxes": rows, "labels": np.array([0])}])
     boxes = ff.metrics.DDS(replicates=0)
-    boxes.update(ff.Boxes.from_numpy(rows, label="vehicle", score=np.array([0.9])), Annotation(boxes=ff.Boxes.from_numpy(rows, label="vehicle")))
+    boxes.update(
+        ff.Boxes.from_numpy(rows, label="vehicle", score=np.array([0.9])),
+        Annotation(boxes=ff.Boxes.from_numpy(rows, label="vehicle")),
+    )
     figures = [metric.compute().figures for metric in (plain, batch, boxes)]
     assert figures[0] == figures[1] == figures[2]
     assert figures[0]["dds/0/dds"] == pytest.approx(1.0)

@@ -67,7 +67,9 @@ def run(
     check_outputs((data, folder / "evaluation.json", *reading.paths), files={"--out": page, "--json": json})
     parts = [lost.where(condition, KINDS if kind == "all" else (kind,)) for lost in read_lost(evaluation)]
     if not any(lost.objects for lost in parts) and (where or kind != "all"):
-        raise ConfigError(f"--where {where or '(none)'} --kind {kind}: expected objects that were lost, found none such")
+        raise ConfigError(
+            f"--where {where or '(none)'} --kind {kind}: expected objects that were lost, found none such"
+        )
     if dry_run:
         would_write("the worst frames and objects", page or json or "the output")
         return 0

@@ -161,9 +161,7 @@ class Lost:
             one["missed"] += row["kind"] == "missed"
             one["false"] += row["kind"] == "false"
         frames = sorted(sums.values(), key=itemgetter("loss"), reverse=True)
-        return Lost(
-            cloud=self.cloud, finding=self.finding, frames=frames, objects=rows, objects_in_all=len(rows)
-        )
+        return Lost(cloud=self.cloud, finding=self.finding, frames=frames, objects=rows, objects_in_all=len(rows))
 
     def by(self, kind: str) -> list[dict[str, Any]]:
         """Losses summed by a property, the greatest first.

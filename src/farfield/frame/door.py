@@ -80,9 +80,13 @@ def check_points(rows: Shaped[np.ndarray, "..."]) -> None:
         )
     if rows.ndim != 2 or rows.shape[1] < 3:
         turned = ": its columns are points, give array.T" if rows.ndim == 2 and 3 <= rows.shape[0] <= 16 else ""
-        raise ConfigError(f"array: expected rows x, y, z (and intensity), shape (n, 3) or wider; got {rows.shape}{turned}")
+        raise ConfigError(
+            f"array: expected rows x, y, z (and intensity), shape (n, 3) or wider; got {rows.shape}{turned}"
+        )
     if rows.shape[0] in (3, 4, 5) and rows.shape[1] > 16:
-        raise ConfigError(f"array: expected a row a point, got shape {rows.shape}: its columns are points, give array.T")
+        raise ConfigError(
+            f"array: expected a row a point, got shape {rows.shape}: its columns are points, give array.T"
+        )
     if len(rows) < _LEAST_ROWS:
         return
     places = rows[:, :3].astype(np.float64)
@@ -140,7 +144,9 @@ def _read(path: Path) -> Cloud:
     if path.is_dir():
         raise DatasetError(f"{path}: expected a cloud file, got a folder: farfield.open_dataset opens a data set's")
     if path.suffix.lower() not in CLOUD_SUFFIXES:
-        raise ConfigError(f"{path}: expected a cloud file ({', '.join(CLOUD_SUFFIXES)}), got {path.suffix or 'no suffix'}")
+        raise ConfigError(
+            f"{path}: expected a cloud file ({', '.join(CLOUD_SUFFIXES)}), got {path.suffix or 'no suffix'}"
+        )
     return Cloud.from_file(path)
 
 

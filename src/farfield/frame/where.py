@@ -144,9 +144,7 @@ def columns_of_boxes(
     Arguments are those of :meth:`Where.of_boxes`.
     """
     count = len(boxes)
-    columns: dict[str, Any] = {
-        name: np.full(count, value) for name, value in _frame_values(key, conditions).items()
-    }
+    columns: dict[str, Any] = {name: np.full(count, value) for name, value in _frame_values(key, conditions).items()}
     columns |= dict(zip(("x_m", "y_m", "z_m"), boxes.centre_m.T, strict=True))
     columns |= dict(zip(("length_m", "width_m", "height_m"), boxes.size_m.T, strict=True))
     columns |= {"label": boxes.label, "range_m": boxes.range_m, "yaw_deg": np.degrees(boxes.yaw_rad)}

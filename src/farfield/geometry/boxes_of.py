@@ -18,9 +18,7 @@ _TAKES = (
 )
 
 
-def boxes_of(
-    value: Any, what: str, *, scored: bool, label: str = "vehicle", classes: Sequence[str] = ()
-) -> Boxes:
+def boxes_of(value: Any, what: str, *, scored: bool, label: str = "vehicle", classes: Sequence[str] = ()) -> Boxes:
     """Boxes of one frame.
 
     Args:

@@ -102,7 +102,7 @@ _MODULE_OF = {name: module for module, names in _MODULES.items() for name in nam
 def __getattr__(name: str) -> Any:
     """Import what belongs to one protocol when it is used; ``DDS`` and its like are the metrics in a loop."""
     if name in _METRICS:
-        kind: Any = import_module(f"{__name__}.running").metric_class(name, _METRICS[name])
+        kind: Any = import_module(f"{__name__}.running").metric_class(_METRICS[name])
         return kind
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -62,6 +62,10 @@ class RunningMetric:
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self._annotations)} frames)"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by the protocol's name: its class is made when it is asked for."""
+        return _rebuilt, (self.protocol, dict(vars(self)))
+
     def __len__(self) -> int:
         """Number of frames so far."""
         return len(self._annotations)
@@ -206,20 +210,26 @@ def running_metric(protocol: str, **arguments: Any) -> RunningMetric:
         ConfigError: If there is no such protocol.
     """
     kind, _, variant = protocol.partition(":")
-    return metric_class("".join(word.capitalize() for word in kind.split("-")), kind)(variant, **arguments)
+    return metric_class(kind)(variant, **arguments)
 
 
 @cache
-def metric_class(name: str, protocol: str) -> type[RunningMetric]:
+def metric_class(protocol: str) -> type[RunningMetric]:
     """The class of a protocol's metric.
 
     Args:
-        name: What the class is called.
-        protocol: The protocol.
+        protocol: The protocol, without a variant.
     """
     about = f"The protocol {protocol} in a loop; arguments and methods are those of RunningMetric."
-    content = {"protocol": protocol, "__module__": "farfield.metrics", "__doc__": about}
-    return type(name, (RunningMetric,), content)
+    return type(f"Metric[{protocol}]", (RunningMetric,), {"protocol": protocol, "__doc__": about})
+
+
+def _rebuilt(protocol: str, state: Mapping[str, Any]) -> RunningMetric:
+    """A metric that was pickled."""
+    kind = metric_class(protocol)
+    metric = kind.__new__(kind)
+    vars(metric).update(state)
+    return metric
 
 
 def _of_all_processes(metric: RunningMetric) -> RunningMetric:
