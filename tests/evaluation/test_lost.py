@@ -59,7 +59,9 @@ def test_boxes_outside_the_score_s_region_lose_nothing() -> None:
     assert [row["kind"] for row in tree["objects"]] == ["unsure", "false"]
 
 
-@pytest.mark.parametrize("text", ["{}", '{"clouds": {"a": {"finding": "x", "frames": [3], "objects": []}}}', '{"clouds": 3}'])
+@pytest.mark.parametrize(
+    "text", ["{}", '{"clouds": {"a": {"finding": "x", "frames": [3], "objects": []}}}', '{"clouds": 3}']
+)
 def test_a_damaged_file_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / LOST).write_text(text)
     with pytest.raises(FileFormatError):

@@ -28,8 +28,9 @@ def test_a_good_drive_has_no_reasons() -> None:
 
 def test_each_reason_is_named() -> None:
     assert "no detection in 0 frames" in reasons(Detections(boxes={}, annotations={}))[0]
-    assert "8 of 8 detections are left out: scores below least_score=0.5; the highest is 0.1" in (
-        reasons(drive(score=0.1), least_score=0.5)[0]
+    assert (
+        "8 of 8 detections are left out: scores below least_score=0.5; the highest is 0.1"
+        in (reasons(drive(score=0.1), least_score=0.5)[0])
     )
     assert "fewer frames than the min_hits=3" in reasons(drive(sequences=True), warm_up=0)[0]
     assert any("2 s apart" in text for text in reasons(drive(step_m=60.0), step_s=2.0, warm_up=0))
