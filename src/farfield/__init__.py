@@ -39,6 +39,7 @@ if _typing.TYPE_CHECKING:
     from farfield.detectors.spec import detector as register_detector
     from farfield.errors import FarfieldError
     from farfield.frame import Annotation, Cloud, Frame, Sensor, merge_clouds, transform_frame
+    from farfield.frame.door import collate
     from farfield.geometry.boxes import Boxes
     from farfield.metrics.detections import Detections
     from farfield.metrics.detections import protocol as register_protocol
@@ -57,6 +58,7 @@ _HOMES = {
     "Sensor": "farfield.frame:Sensor",
     "adapt": "farfield.api:adapt",
     "calibrate": "farfield.api:calibrate",
+    "collate": "farfield.frame.door:collate",
     "detect": "farfield.api:detect",
     "evaluate": "farfield.api:evaluate",
     "load_detector": "farfield.api:load_detector",
@@ -73,6 +75,8 @@ _HOMES = {
     "transfer": "farfield.api:transfer",
     "transform_frame": "farfield.frame:transform_frame",
 }
+_ROOMS = ("metrics",)
+"""Rooms that are reached as ``ff.metrics`` without an import of their own."""
 _OLD_NAMES = {
     "dataset": "register_dataset",
     "detector": "register_detector",
@@ -92,6 +96,7 @@ __all__ = [
     "Sensor",
     "adapt",
     "calibrate",
+    "collate",
     "detect",
     "evaluate",
     "load_detector",
@@ -114,6 +119,8 @@ def __getattr__(name: str) -> _typing.Any:
     if name in _OLD_NAMES:
         _warnings.warn(f"farfield.{name} is now farfield.{_OLD_NAMES[name]}", DeprecationWarning, stacklevel=2)
         name = _OLD_NAMES[name]
+    if name in _ROOMS:
+        return _importlib.import_module(f"farfield.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'farfield' has no attribute {name!r}")
     module, _, attribute = _HOMES[name].partition(":")

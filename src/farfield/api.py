@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from farfield.errors import DatasetError
+from farfield.errors import ConfigError, DatasetError
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
@@ -100,8 +100,8 @@ def load_detector(
 
 
 def detect(
-    detector: "DescribedDetector | DetectorFunction",
-    data: "Sequence[Frame] | Dataset",
+    detector: "DescribedDetector | DetectorFunction | str | Path",
+    data: Any,
     *,
     cloud: str | None = None,
     progress: Progress = iter,
@@ -111,22 +111,43 @@ def detect(
     Where the data seem to be in other axes or units than ours, ``.notes`` say so.
 
     Args:
-        detector: A detector, or any function from a frame to scored boxes.
-        data: A data set, or frames in memory.
+        detector: A detector, its name or folder, or any function from a frame to scored boxes.
+        data: A data set or its folder; a cloud file; an array or table of points; or a list of files or sweeps, see
+            :func:`farfield.datasets.door.dataset_of`.
         cloud: Which of the frames' clouds to read; by default the first that suits the detector.
         progress: Wraps the frame numbers, to show progress.
+
+    Raises:
+        ConfigError: If the data or the detector are nothing of these, or an array cannot be what it is taken for.
     """
+    from farfield.datasets.door import dataset_of
     from farfield.evaluation import detect as detect_all
 
-    return _doubted(detect_all(detector, data, cloud=cloud, progress=progress), data, cloud)
+    data = dataset_of(data)
+    return _doubted(detect_all(_detector_of(detector), data, cloud=cloud, progress=progress), data, cloud)
 
 
-def _doubted(detections: "Detections", data: "Sequence[Frame] | Dataset", cloud: str | None) -> "Detections":
+def _detector_of(detector: Any) -> Any:
+    """A detector, loaded where it is named.
+
+    Raises:
+        ConfigError: If it is neither a name nor a function.
+    """
+    if isinstance(detector, str | Path):
+        return load_detector(detector)
+    if not callable(detector):
+        raise ConfigError(
+            "detector: expected a detector, a bundled one's name, a run's folder, or a function from a frame to scored "
+            f"boxes; got {type(detector).__name__}"
+        )
+    return detector
+
+
+def _doubted(detections: "Detections", data: "Dataset", cloud: str | None) -> "Detections":
     """Detections whose notes say where the data's axes or units seem to be others than ours, as ``predict`` warns."""
-    from farfield.datasets import in_memory
     from farfield.inspection.axes_and_units import first_doubts
 
-    doubts = tuple(map(str, first_doubts(in_memory(data), cloud=cloud)))
+    doubts = tuple(map(str, first_doubts(data, cloud=cloud)))
     return replace(detections, notes=(*doubts, *detections.notes)) if doubts else detections
 
 
@@ -167,8 +188,8 @@ def transfer(
 
 
 def evaluate(
-    detector: "DescribedDetector | DetectorFunction | Mapping[tuple[str, str], Boxes]",
-    data: "Sequence[Frame] | Dataset",
+    detector: "DescribedDetector | DetectorFunction | Mapping[tuple[str, str], Boxes] | str | Path",
+    data: Any,
     *,
     protocol: str = "dds",
     cloud: str | None = None,
@@ -179,8 +200,8 @@ def evaluate(
     """Score a detector, or predictions made before, on annotated frames: ``detect(detector, data).score(protocol)``.
 
     Args:
-        detector: A detector, or its boxes by (sequence, frame), in the coordinates of ``data``.
-        data: Annotated frames.
+        detector: A detector, its name, or its boxes by (sequence, frame), in the coordinates of ``data``.
+        data: Annotated frames, or a data set's folder.
         protocol: ``"dds"``, ``"nuscenes"``, ``"kitti"``, ``"kradar"``, ``"kradar-compat:VARIANT"`` or a registered one.
         cloud: Which of the frames' clouds to read; by default the first that suits the detector.
         progress: Wraps the frame numbers, to show progress.
@@ -195,16 +216,18 @@ def evaluate(
         DatasetError: If no frame is annotated.
         ConfigError: If the protocol or a setting is unknown, or no cloud suits the detector.
     """
+    from farfield.datasets.door import dataset_of
     from farfield.evaluation import detect as detect_all
     from farfield.evaluation import detections_from_boxes
 
+    data = dataset_of(data)
     if metric is not None:
         warnings.warn("evaluate: metric= is called protocol= now", DeprecationWarning, stacklevel=2)
         protocol = metric
     if isinstance(detector, Mapping):
         detections = detections_from_boxes(detector, data, cloud=cloud, progress=progress)
     else:
-        detections = detect_all(detector, data, cloud=cloud, annotated_only=True, progress=progress)
+        detections = detect_all(_detector_of(detector), data, cloud=cloud, annotated_only=True, progress=progress)
     if not detections.annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
     detections.check_label(protocol, **settings)

@@ -41,6 +41,7 @@ WORDS = {
     "anonymize": "anonymize DATA OUT",
     "depth": "depth DATA --out OUT",
     "score": "score DATA/found.csv DATA/labels.csv --json OUT/a.json",
+    "worst": "worst DATA",
     "compare-results": "compare-results OUT/a.json OUT/b.json",
     "compare": "compare DATA DATA --out OUT",
     "report": "report DATA",

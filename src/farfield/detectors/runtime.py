@@ -26,6 +26,7 @@ from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError, plain
 from farfield.frame import Cloud, Frame
 from farfield.frame.cloud import RADAR_COLUMNS
+from farfield.frame.door import frame_of
 from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
 from farfield.registry import display_html
 
@@ -345,9 +346,17 @@ class Detector:
         other.cloud = cloud
         return other
 
-    def __call__(self, frame: Frame | Cloud) -> Boxes:
-        """Detect objects; boxes are in the frame's coordinates, best first."""
-        return self.detect([frame])[0]
+    def __call__(self, frame: Any) -> Boxes:
+        """Detect objects; boxes are in the frame's coordinates, best first.
+
+        Args:
+            frame: A frame, a cloud, the path of a cloud file, an array or a table, see
+                :func:`farfield.frame.door.frame_of`.
+
+        Raises:
+            ConfigError: As of :meth:`detect`, and if it is nothing of these.
+        """
+        return self.detect([frame if isinstance(frame, Cloud) else frame_of(frame)])[0]
 
     def detect(self, frames: Sequence[Frame | Cloud]) -> list[Boxes]:
         """Detect objects in a batch of frames.
