@@ -1,10 +1,22 @@
 """Blocks of code of the documentation's pages: the commands and the Python in them."""
 
+import ast
+import contextlib
+import inspect
+import io
+import os
 import re
 import shlex
+import sys
+from collections.abc import Mapping
 from functools import cache, wraps
 from importlib import import_module
+from types import ModuleType
 from typing import Any
+
+import tyro
+
+from farfield.cli import VERBS, main
 
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
@@ -62,13 +74,6 @@ def _parser_only(verb: str) -> Any:
 
 def refusal(words: list[str]) -> str:
     """What the command line's own parser says against a command; empty where it takes it."""
-    import contextlib
-    import io
-
-    import tyro
-
-    from farfield.cli import VERBS
-
     if not words or words[0].startswith("-"):
         return ""
     if words[0] not in VERBS:
@@ -81,3 +86,77 @@ def refusal(words: list[str]) -> str:
     except SystemExit as ended:
         return "" if ended.code in (0, None) else shown.getvalue()
     return ""
+
+
+def unknown_names(code: str) -> list[str]:
+    """What of Farfield a piece of Python names that is not there: imports, attributes of ``ff``, keywords of its calls."""
+    tree = ast.parse(code)
+    imported: dict[str, Any] = {"ff": import_module("farfield")}
+    absent = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "farfield":
+            for alias in node.names:
+                thing = _member(str(node.module), alias.name)
+                imported[alias.asname or alias.name] = thing
+                absent += [f"{node.module}.{alias.name}"] if thing is None else []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and _is_absent(node, imported):
+            absent.append(ast.unparse(node))
+        if isinstance(node, ast.Call) and (called := _resolved(node.func, imported)) is not None:
+            absent += [f"{ast.unparse(node.func)}({word}=)" for word in _strange_keywords(node, called)]
+    return absent
+
+
+def _member(module: str, name: str) -> Any:
+    """A member of a module, or a part of it that nothing has imported yet; None where there is neither."""
+    try:
+        home = import_module(module)
+        return getattr(home, name) if hasattr(home, name) else import_module(f"{module}.{name}")
+    except ModuleNotFoundError:
+        return None
+
+
+def _resolved(node: ast.expr, imported: Mapping[str, Any]) -> Any:
+    """What a dotted name of an import stands for; None of others."""
+    if isinstance(node, ast.Name):
+        return imported.get(node.id)
+    if isinstance(node, ast.Attribute) and (owner := _resolved(node.value, imported)) is not None:
+        return getattr(owner, node.attr, None)
+    return None
+
+
+def _is_absent(node: ast.Attribute, imported: Mapping[str, Any]) -> bool:
+    owner = _resolved(node.value, imported)
+    return owner is not None and not hasattr(owner, node.attr)
+
+
+def _strange_keywords(node: ast.Call, called: Any) -> list[str]:
+    """Keywords of a call that its signature does not have."""
+    try:
+        parameters = inspect.signature(called).parameters.values()
+    except (TypeError, ValueError):
+        return []
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        return []
+    known = {parameter.name for parameter in parameters}
+    return [word.arg for word in node.keywords if word.arg is not None and word.arg not in known]
+
+
+def run_block(language: str, code: str, page: str) -> None:
+    """Run a page's block in the working folder, commands of Farfield in this process.
+
+    Raises:
+        AssertionError: If a command ends with another status than 0.
+    """
+    if language == "python":
+        module = sys.modules["page"] = ModuleType("page")  # so that what it defines can be pickled
+        exec(compile(code, page, "exec"), module.__dict__)
+        return
+    commands = iter(commands_in(code))
+    for line in code.replace("\\\n", " ").splitlines():
+        if line.startswith("farfield "):
+            words = next(commands)
+            status = main(words)
+            assert status == 0, f"{page}: farfield {' '.join(words)}: {status}"
+        elif line.strip():
+            assert os.system(line) == 0, line  # such as printf
