@@ -32,11 +32,13 @@ REAL = {
 }
 HEAD = """# Model zoo
 
-Printed by `tools/model_zoo.py` from the weights files, from what `farfield detectors` shows, and from the results that the benchmarks printed; nothing is measured for this page.
+Printed by `tools/model_zoo.py` from the weights files, from what `farfield detectors` shows, and from the results that
+the benchmarks printed; nothing is measured for this page.
 [Detectors](detectors.md) has the networks, longer tables and how far the figures carry.
 
-All weights and the code that runs them are Apache-2.0, and no licence of a data set is attached to them: they learnt from simulated frames and, where their card names places, from
-[Open Sweeps](open-sweeps.md). **Scores on simulated frames are no forecast for a real road**: the rows of real frames are few, and say so.
+All weights and the code that runs them are Apache-2.0, and no licence of a data set is attached to them: they learnt
+from simulated frames and, where their card names places, from [Open Sweeps](open-sweeps.md). **Scores on simulated
+frames are no forecast for a real road**: the rows of real frames are few, and say so.
 
 ```bash
 farfield predict NAME my-sweeps --out boxes.csv       # use one
@@ -166,11 +168,12 @@ def card(entry: CatalogueEntry, name: str, weathers: Mapping[str, WeatherScores]
     clouds = dict.fromkeys(str(cloud) for stream in streams_of(provenance) for cloud in stream.get("clouds", ()))
     places = open_places(provenance)
     named = "not recorded" if places is None else ", ".join(places) or "none"
+    weight = "not recorded" if parameters is None else f"{parameters / 1e6:.2f} M parameters"
     lines = [
         f"**Detector**: `{entry.name}` ({entry.paper}).",
         f"**Reads**: clouds such as {', '.join(f'`{cloud}`' for cloud in clouds) or 'not recorded'}.",
         f"**Detects**: {classes_of(config)}, {reach_of(config)}.",
-        f"**Size**: {'not recorded' if parameters is None else f'{parameters / 1e6:.2f} M parameters'}, {size / 1e6:.1f} MB.",
+        f"**Size**: {weight}, {size / 1e6:.1f} MB.",
         f"**Learnt from**: {learnt_from(provenance)}; {schedule(provenance)}; real places: {named}.",
         f"**Thresholds**: score {config.get('score_threshold', '-')}, suppression {config.get('nms_iou', '-')}, "
         f"{config.get('max_boxes', '-')} boxes a frame.",

@@ -28,7 +28,8 @@ def test_the_parser_takes_the_commands_in_the_sentences_of_a_page(page: Path) ->
 
 
 def test_a_command_that_the_parser_does_not_take_is_noticed() -> None:
-    code = "farfield doctor data  # looks\nfarfield score a b \\\n  --protocol dds | head\nfarfield train x && farfield show y\n"
+    code = "farfield doctor data  # looks\nfarfield score a b \\\n  --protocol dds | head\n"
+    code += "farfield train x && farfield show y\n"
     words = page_blocks.commands_in(code)
     assert words == [["doctor", "data"], ["score", "a", "b", "--protocol", "dds"], ["train", "x"], ["show", "y"]]
     assert [page_blocks.refusal(command) for command in words] == [""] * 4

@@ -1,4 +1,4 @@
-"""The recipes of docs/cookbook.md run as they stand, and so does the Python of the pages for those who come from other kits."""
+"""The recipes of docs/cookbook.md run as they stand, and so does the Python of the pages that start from other kits."""
 
 import re
 import shutil

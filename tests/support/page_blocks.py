@@ -89,7 +89,7 @@ def refusal(words: list[str]) -> str:
 
 
 def unknown_names(code: str) -> list[str]:
-    """What of Farfield a piece of Python names that is not there: imports, attributes of ``ff``, keywords of its calls."""
+    """What a piece of Python names of Farfield that is not there: imports, attributes of ``ff``, keywords."""
     tree = ast.parse(code)
     imported: dict[str, Any] = {"ff": import_module("farfield")}
     absent = []
