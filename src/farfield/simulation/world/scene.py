@@ -11,7 +11,8 @@ from farfield.simulation.bodies.actors import Actor, find_prior
 from farfield.simulation.bodies.mesh import Mesh
 from farfield.simulation.bodies.people import PHASES
 from farfield.simulation.trace import Body, Caster, Tracer
-from farfield.simulation.world.layout import CHUNK_M, RoadLayout
+from farfield.simulation.world.ground import CHUNK_M
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.roads import BUILDERS, RoadBuild
 from farfield.vocabulary.conditions import SIDES, WORLDS
@@ -150,8 +151,8 @@ class WorldScene:
         rng = np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _LEAF_PAINT)))
         reflectance, tint = leaf_reflectances(len(plants), rng), rng.random(len(plants))
         placed = [
-            PlacedLeaves(plants[row].leaves, row, self.layout.axes_m(row) * flip, reflectance[row], tint[row])
-            for row in rows
+            PlacedLeaves(plants[row].leaves, row, axes_m * flip, reflectance[row], tint[row])
+            for row, axes_m in zip(rows, self.layout.axes_m(rows), strict=True)
         ]
         return [Foliage(placed, seed=int(seed.generate_state(1, np.uint64)[0]), anchor_m=anchor_m)]
 
