@@ -36,7 +36,7 @@ def _feet(layout: RoadLayout) -> Boxes:
         if (high - low).max() < LARGE_M:
             yaw = float(layout.land.road.heading_rad(np.array(s_m))) + fixed.build.keywords["turn_rad"]
             (x, y), (cos, sin) = (low + high) / 2, (np.cos(yaw), np.sin(yaw))
-            at = layout.land.road.point_m(np.array(s_m), d_m) + [cos * x - sin * y, sin * x + cos * y, 0.0]
+            at = layout.land.road.point_m(np.array(s_m), d_m) + np.array([cos * x - sin * y, sin * x + cos * y, 0.0])
             rows.append([*at, *(high - low), 1.0, yaw])
     table = np.array(rows)
     return Boxes(centre_m=table[:, :3], size_m=table[:, 3:6], yaw_rad=table[:, 6])
@@ -125,7 +125,7 @@ def test_an_alley_is_closed_between_its_side_streets_and_free_to_drive(seed: int
     s = s[[land.street.clear(float(station), 0.8) for station in s]]
     heading = land.road.heading_rad(s)
     left = np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(len(s))])
-    origin = land.road.point_m(s, 0.0) + [0.0, 0.0, 1.4]
+    origin = land.road.point_m(s, 0.0) + np.array([0.0, 0.0, 1.4])
     for side in (1, -1):
         range_m = alley.cast_from(origin, side * left).range_m
         assert range_m.min() > half_m - 0.9  # furniture and posts stand nearer than fronts

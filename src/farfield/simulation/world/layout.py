@@ -48,7 +48,7 @@ class FixedObject:
 
 @dataclass(frozen=True)
 class LeafyPlace:
-    """Leaves that rays enter: where along and beside the road they stand, how they are turned, how wide their foot is."""
+    """Leaves that rays enter: where along and beside the road they stand, how they are turned, how wide they stand."""
 
     leaves: Leaves
     s_m: float
