@@ -90,10 +90,9 @@ def test_the_feet_of_plants_stand_on_the_ground(road: str) -> None:
     assert np.isfinite(ground_m).all()
     assert ((foot_m[:, 2] - ground_m) < 0.02).all()
     assert ((foot_m[:, 2] - ground_m) > -0.32).all()
-    on_land_as_drawn = layout.land.road.point_m(
-        *(np.array([getattr(layout.plants[row], name) for row in rows]) for name in ("s_m", "d_m"))
-    )
-    assert road == "highway" or np.abs(on_land_as_drawn[:, 2] - ground_m).max() > 0.3
+    s, d = (np.array([getattr(layout.plants[row], name) for row in rows]) for name in ("s_m", "d_m"))
+    drawn_m = layout.land.road.point_m(s, d)[:, 2] + layout.land.rise_m(s, d)
+    assert road == "highway" or np.abs(drawn_m - ground_m).max() > 0.5  # where they stood before
 
 
 def test_the_wood_of_a_tree_stands_where_its_leaves_do() -> None:
@@ -142,3 +141,17 @@ def test_wires_begin_at_the_tops_of_their_poles() -> None:
     top_m = float(land.road.point_m(np.array(40.0), d_m)[2]) + rise_m + 7.5
     assert np.abs(wires.vertices_m[:, 2] - top_m).min() < 0.1
     assert wires.vertices_m[:, 2].max() > top_m - 0.2
+
+
+def test_the_surroundings_of_the_stage_before_are_not_built_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = WorldScene("parking_lot", np.random.SeedSequence(5), duration_s=1.0, world="v3")
+    built: list[int] = []
+    chunk = scene.layout.chunk
+    monkeypatch.setattr(scene.layout, "chunk", lambda index: [built.append(index), chunk(index)][1])
+    monkeypatch.setattr(scene, "_ego_s_m", lambda time_s: 250.0 * time_s)
+    first = scene._fixed(0.0, 100.0, 20.0, 1)[0].tracer.mesh
+    assert built == [-1, 0, 1, 2]
+    scene._fixed(1.0, 100.0, 20.0, 1)
+    assert built == [-1, 0, 1, 2, 3, 4]
+    scene._fixed(0.0, 100.0, 20.0, 1)
+    np.testing.assert_array_equal(scene._fixed(0.0, 100.0, 20.0, 1)[0].tracer.mesh.reflectance, first.reflectance)

@@ -15,6 +15,7 @@ from farfield.simulation.world.land import Land
 
 CHUNK_M = 100.0
 """The fixed surroundings are built in pieces of this length."""
+_PIECES = 12  # so many are remembered
 
 
 def chunk_rows(index: int, breaks_m: tuple[float, ...]) -> Float[np.ndarray, " k"]:
@@ -38,18 +39,29 @@ class Ground:
     def __init__(self, land: Land, breaks_m: tuple[float, ...]) -> None:
         self.land, self.breaks_m = land, breaks_m
         self.verges: list[Callable[[Float[np.ndarray, " k"]], Mesh]] = []
+        self._land: dict[int, list[Mesh]] = {}
         self._tracers: dict[int, Tracer] = {}
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_tracers": {}}  # Embree's scenes do not travel
 
+    def pieces(self, index: int) -> list[Mesh]:
+        """The strips of one piece and the land beyond them; of the latest ``_PIECES`` they are not built twice."""
+        if index not in self._land:
+            rows = chunk_rows(index, self.breaks_m)
+            self._land[index] = [self.land.strips(rows), self.land.beyond(float(rows[0]), float(rows[-1]))]
+            if len(self._land) > _PIECES:
+                del self._land[next(iter(self._land))]
+        return self._land[index]
+
     def _tracer(self, index: int) -> Tracer:
         if index not in self._tracers:
             rows = chunk_rows(index, self.breaks_m)
-            parts = [self.land.strips(rows), self.land.beyond(float(rows[0]), float(rows[-1]))]
-            parts += [build(rows) for build in self.verges]
+            parts = [*self.pieces(index), *(build(rows) for build in self.verges)]
             anchor_m = self.land.road.point_m(np.array((index + 0.5) * CHUNK_M), 0.0)
             self._tracers[index] = Tracer(Mesh.merge(parts), anchor_m=anchor_m)
+            if len(self._tracers) > _PIECES:
+                del self._tracers[next(iter(self._tracers))]
         return self._tracers[index]
 
     def height_m(self, xy_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:

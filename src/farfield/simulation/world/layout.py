@@ -120,7 +120,12 @@ class RoadLayout:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed.entropy, spawn_key=(*self.seed.spawn_key, key)))
         first, last = index * CHUNK_M, (index + 1) * CHUNK_M
         rows = chunk_rows(index, self.breaks_m)
-        parts = [self.land.strips(rows), self.land.beyond(first, last), *(build(rows) for build in self.running)]
+        ground = (
+            [self.land.strips(rows), self.land.beyond(first, last)]
+            if self.ground is None
+            else self.ground.pieces(index)
+        )
+        parts = [*ground, *(build(rows) for build in self.running)]
         objects = [fixed for fixed in self.placements if first <= fixed.s_m < last]
         for fixed, lift_m in zip(objects, self.lifts_m(objects), strict=True):
             mesh = fixed.build()

@@ -111,6 +111,7 @@ class WorldScene:
         self._sway = np.random.default_rng(pose_seed).uniform(0, 2 * np.pi, 2)
         self._rows = {actor.track_id: row for row, actor in enumerate(self.actors)}
         self._tracers: dict[tuple[int, int], Tracer] = {}
+        self._chunks: dict[int, Mesh] = {}
         self._stage: tuple[tuple[int, float], list[Caster]] | None = None
 
     def ego_pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
@@ -132,7 +133,9 @@ class WorldScene:
         if self._stage is None or self._stage[0] != (stage, behind_m):
             first = int(np.floor((stage * _STAGE_M - behind_m) / CHUNK_M))
             last = int(np.ceil(((stage + 1) * _STAGE_M + reach_m) / CHUNK_M))
-            mesh = Mesh.merge([self.layout.chunk(index) for index in range(first, last)])
+            built = self._chunks  # those of the stage before; what recurs is not built again
+            self._chunks = {i: built[i] if i in built else self.layout.chunk(i) for i in range(first, last)}
+            mesh = Mesh.merge(list(self._chunks.values()))
             anchor = self.layout.land.road.point_m(np.array((stage + 0.5) * _STAGE_M), 0.0)
             if self.traffic == "left":
                 mesh, anchor = mesh.mirrored(), anchor * [1.0, -1.0, 1.0]
