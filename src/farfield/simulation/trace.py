@@ -2,14 +2,13 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from farfield.errors import MissingExtraError
-from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh
 
 _LEVEL = np.cos(np.radians(45.0))
@@ -70,11 +69,6 @@ class Caster(ABC):
     corners_m: Float[np.ndarray, "8 3"]
     level: Bool[np.ndarray, " f"]
     is_turbid: bool = False
-
-    @cached_property
-    def is_glass(self) -> Bool[np.ndarray, " f"]:
-        """Which triangles are panes that rays may pass, shape (f,)."""
-        return np.asarray(self.mesh.material == Material.GLASS)
 
     def cast(self, origin_m: Float[np.ndarray, " 3"], directions: Float[np.ndarray, "n 3"]) -> RayHits:
         """First hit of each ray.

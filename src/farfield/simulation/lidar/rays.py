@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from farfield.errors import ConfigError
+from farfield.simulation.bodies.materials import Material
 from farfield.simulation.lidar.model import LidarModel, line_elevations_deg
 from farfield.simulation.trace import Body, RayHits
 
@@ -395,23 +396,16 @@ class NearestHits:
         Args:
             passes: Shots that glass does not send back, shape (shots,).
         """
-        glass = self.table(lambda body: body.tracer.is_glass, False)
+        glass = self.table(lambda body: body.tracer.mesh.material == Material.GLASS, False)
         for _ in range(_PANES):
             ray, shots = np.nonzero(glass[self.face] & passes)
             if shots.size == 0:
                 return
-            columns = self._scan.shape[1]
-            by_column = np.argsort(shots % columns, kind="stable")
-            ray, shots = ray[by_column], shots[by_column]
             begin = self.range_m[ray, shots] + _BEYOND_GLASS_M
             self.range_m[ray, shots], self.face[ray, shots] = np.inf, -1
-            ring, column = np.divmod(shots, columns)
+            ring, column = np.divmod(shots, self._scan.shape[1])
             for index, block in enumerate(self._blocks):
-                across = np.flatnonzero(block.columns)
-                if across.size == 0:
-                    continue
-                first, last = np.searchsorted(column, [across[0], across[-1] + 1])
-                passing = first + np.flatnonzero(block.rings[ring[first:last]] & block.columns[column[first:last]])
+                passing = np.flatnonzero(block.rings[ring] & block.columns[column])
                 passing = passing[self.range_m[ray[passing], shots[passing]] > block.nearest_m]
                 if passing.size:
                     self._go_on(index, ray[passing], shots[passing], begin[passing])
@@ -436,29 +430,12 @@ class NearestHits:
         along = turned(pose, self._scan.rays.reshape(3, -1, self.range_m.shape[1])[:, 0, shots])
         return starts + along * self.range_m[0, shots, None] + self.bodies[0].tracer.anchor_m
 
-    def triangles(self) -> tuple[Int[np.ndarray, " t"], Int32[np.ndarray, "rays shots"]]:
-        """Triangles that were hit, rising, and of each hit the index among those; -1 for none."""
-        is_hit = np.zeros(self.first_face[-1] + 1, dtype=bool)
-        is_hit[self.face] = True
-        triangles = np.flatnonzero(is_hit[:-1])
-        index = np.full(len(is_hit), -1, dtype=np.int32)
-        index[triangles] = np.arange(len(triangles), dtype=np.int32)
-        return triangles, index[self.face]
-
-    def table(
-        self, values: Callable[[Body], np.ndarray], none: object, triangles: Int[np.ndarray, " t"] | None = None
-    ) -> np.ndarray:
+    def table(self, values: Callable[[Body], np.ndarray], none: object) -> np.ndarray:
         """A value for every triangle of all bodies, and at the end (index -1) one for the rays that hit nothing.
 
         Args:
             values: Gives one body's values, one a triangle.
             none: The last value.
-            triangles: Only these, rising.
         """
-        if triangles is None:
-            parts = [np.asarray(values(body)) for body in self.bodies]
-        else:
-            ends = np.searchsorted(triangles, self.first_face)
-            spans = zip(self.bodies, self.first_face[:-1], ends[:-1], ends[1:], strict=True)
-            parts = [values(body)[triangles[begin:end] - first] for body, first, begin, end in spans if end > begin]
+        parts = [np.asarray(values(body)) for body in self.bodies]
         return np.concatenate([*parts, np.asarray([none], dtype=parts[0].dtype if parts else None)])

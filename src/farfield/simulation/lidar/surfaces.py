@@ -120,8 +120,8 @@ class Surfaces:
     """The hits of all rays with what they look like.
 
     Args:
-        face: Of each ray's hit the index of its triangle in the tables, shape (rays, shots); -1 for none.
-        reflectance: What every triangle that was hit sends back.
+        face: Triangle of each ray's hit, an index of the tables, shape (rays, shots); -1 for none.
+        reflectance: What every triangle sends back.
         actor: Road user that it belongs to, or -1.
         wet: Factor of each ray's signal by water on the road, shape (rays, shots); None where all is dry.
     """
@@ -140,17 +140,16 @@ class Surfaces:
             model: The sensor; its wavelength decides what is bright.
             weather: What lies on the ground.
         """
-        triangles, face = casting.triangles()
-        material = _with_snow(casting.table(lambda body: body.tracer.mesh.material, -1, triangles), int(Material.SNOW))
-        reflectance = _with_snow(casting.table(lambda body: body.tracer.mesh.reflectance, 0.0, triangles), 0.0)
+        material = _with_snow(casting.table(lambda body: body.tracer.mesh.material, -1), int(Material.SNOW))
+        reflectance = _with_snow(casting.table(lambda body: body.tracer.mesh.reflectance, 0.0), 0.0)
         reflectance[-1 - SNOW_GRADES : -1] = SURFACES[Material.SNOW].reflectance * grade_factor()
         bright = reflectance_at(material, reflectance, model.wavelength_nm).astype(np.float32)
-        owner = casting.table(lambda body: np.full(len(body.tracer.mesh.faces), body.actor), -1, triangles)
-        actor, wet = _with_snow(owner, -1), None
+        actor = _with_snow(casting.table(lambda body: np.full(len(body.tracer.mesh.faces), body.actor), -1), -1)
+        face, wet = casting.face, None
         if weather.snow_cover > 0 or weather.water_mm > _LEAST_WATER_MM:
-            ground = _with_snow(casting.table(_is_ground, False, triangles), False)
+            ground = _with_snow(casting.table(_is_ground, False), False)
             if weather.snow_cover > 0:
-                face = _snowed(casting, face, ground, material, weather.snow_cover)
+                face = _snowed(casting, ground, material, weather.snow_cover)
             if weather.water_mm > _LEAST_WATER_MM:
                 factor = wet_factor(weather.water_mm, model.wavelength_nm)
                 step = np.minimum(casting.cosine * (len(factor) - 1), len(factor) - 1).astype(np.int16)
@@ -171,13 +170,10 @@ def _is_ground(body: Body) -> np.ndarray:
 
 
 def _snowed(
-    casting: NearestHits,
-    face: Int32[np.ndarray, "rays shots"],
-    ground: np.ndarray,
-    material: Int[np.ndarray, " faces"],
-    cover: float,
+    casting: NearestHits, ground: np.ndarray, material: Int[np.ndarray, " faces"], cover: float
 ) -> Int32[np.ndarray, "rays shots"]:
-    """Faces with those replaced, in place, by snow on which it lies; on roads it lies less, for traffic wears it."""
+    """Faces with those replaced by snow on which it lies; on roads it lies less, for traffic wears it."""
+    face = casting.face.copy()
     shots = np.flatnonzero(ground[face[0]])
     places_m = casting.places_m(shots)
     road = np.isin(material[face[0, shots]], [int(item) for item in ROAD])

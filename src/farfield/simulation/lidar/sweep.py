@@ -93,7 +93,7 @@ def sweep(
         extra["ambient"] = ambient_counts(diffuse, _daylight(weather or DRY), air_rng)
     intensity = (np.round(returns.reflectance.clip(0, 1) * 255) / 255).astype(np.float32)
     # which road user each point lies on, and how many shots were aimed at each
-    aimed_at = surfaces.actor[surfaces.face[0]]
+    aimed_at = surfaces.actor[casting.face[0]]
     aimed = np.bincount(
         aimed_at[(aimed_at >= 0) & (casting.range_m[0] < model.max_range_m)], minlength=len(window.actors)
     )
