@@ -68,6 +68,10 @@ def run(
         if bundle is not None:
             raise ConfigError(f"--bundle: expected a data set's folder, got the file {path}")
         return _report(_of_file(path), json)
+    if path.is_dir() and format is None and (downloads := _of_downloads(path, reading.roots)) is not None:
+        if bundle is not None:
+            _write_bundle(bundle, path, None, downloads, "", mask)
+        return _report(downloads, json)
     dataset = None
     try:
         dataset = reading.open(path, format=format)
@@ -97,6 +101,14 @@ def _of_file(path: Path) -> "DoctorReport":
         findings=bundle_findings(read),
         facts=facts,
     )
+
+
+def _of_downloads(path: Path, further: tuple[Path, ...]) -> "DoctorReport | None":
+    """What a folder's archives hold, where it holds no data set besides."""
+    from farfield.datasets.recognition import recognise
+    from farfield.inspection.downloads import examine_downloads
+
+    return examine_downloads(path, further) if recognise(path) is None else None
 
 
 def _write_bundle(
@@ -144,6 +156,10 @@ def _print(report: "DoctorReport") -> None:
     if report.format == "one file":
         takers = report.facts["read_as"]
         out.print(f"Taken as {', '.join(takers)}." if takers else "No reader takes this file.")
+        return
+    if report.format == "downloads":
+        words = "cannot be used" if failures else "All archives can be used"
+        out.print(f"{count_of(failures, 'archive')} {words}." if failures else f"{words}.")
         return
     if report.format.startswith("a bundle"):
         out.print(f"{count_of(len(report.findings), 'finding')}, of which {count_of(failures, 'is', 'are')} grave.")

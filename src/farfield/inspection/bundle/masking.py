@@ -39,10 +39,9 @@ class Scrubber:
                 self._mask(PurePath(name).stem)
 
     def _mask(self, stem: str) -> str:
-        if (
-            stem in self._masks
-            or (all(word.lower() in self._layout for word in _LETTERS.findall(stem))
-            and (_LETTERS.search(stem) and not _STAMP.search(stem)))
+        if stem in self._masks or (
+            all(word.lower() in self._layout for word in _LETTERS.findall(stem))
+            and (_LETTERS.search(stem) and not _STAMP.search(stem))
         ):
             return self._masks.get(stem, stem)
         self._masks[stem] = f"name{len(self._masks) + 1}"
