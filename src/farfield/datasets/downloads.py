@@ -125,4 +125,4 @@ def _sentences(paths: Sequence[Path], root: Path) -> Iterator[str]:
     if len(paths) > _SAID:
         yield f"and {count_of(len(paths) - _SAID, 'more archive')}"
     if root.is_dir() and (parts := split_parts(root)):
-        yield f"{parts[0].name}: a part of a split archive: join the parts, such as by zip -s 0 FIRST.zip --out WHOLE.zip"
+        yield f"{parts[0].name}: a part of a split archive: join them, such as by zip -s 0 FIRST.zip --out WHOLE.zip"

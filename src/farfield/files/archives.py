@@ -1,4 +1,4 @@
-"""Zip archives: of numbers, as PyTorch and NumPy write them, and downloads, listed and unpacked one member at a time."""
+"""Zip archives: of numbers, as PyTorch and NumPy write them, and downloads, listed and unpacked member by member."""
 
 import stat
 import sys
@@ -102,9 +102,9 @@ class ZipListing:
 def list_zip(path: Path) -> ZipListing:
     """List a zip archive without unpacking any of it; one that is empty, cut or no archive has a fault.
 
-    Refused are members whose names lead out of the folder (absolute, ``..``, drives, backslashes) or stand twice, links,
-    encrypted ones, and those that would unpack to more than any sensor's data do (zip bombs); members that share bytes
-    with others refuse the whole archive.
+    Refused are members whose names lead out of the folder (absolute, ``..``, drives, backslashes) or stand twice,
+    links, encrypted ones, and those that would unpack to more than any sensor's data do (zip bombs); members that share
+    bytes with others refuse the whole archive.
 
     Args:
         path: The archive.

@@ -336,7 +336,7 @@ def convert_downloads(
                 if running.here:
                     running.enter(number, running.work(running.unit(number)))
                 pending.append(running.unit(number))
-                clock.count(pending[-1], journal)
+                clock.count(journal)
                 if len(pending) >= _DELETED_AT:
                     _delete_unpacked(target, journal, pending, keep)
                     pending.clear()
@@ -368,7 +368,7 @@ class _Clock:
         self.announce, self.downloads, self.left, self.settings = announce, downloads, left, settings
         self.workers, self.keep, self.first_s, self.counted = workers, keep, 0.0, 0
 
-    def count(self, unit: Unit, journal: JobJournal) -> None:
+    def count(self, journal: JobJournal) -> None:
         """A frame was done."""
         self.counted += 1
         if self.counted == 1:  # what a process does once, such as its tables, is no measure of a frame
