@@ -77,6 +77,6 @@ def test_a_damaged_member_leaves_nothing(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[2000] ^= 1
     path.write_bytes(data)
-    with pytest.raises(FileFormatError, match="x.bin"):
+    with pytest.raises(FileFormatError, match=r"x\.bin"):
         unpack(list_zip(path).members[0], tmp_path / "out" / "x.bin")
     assert not list((tmp_path / "out").iterdir())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
-from farfield.cli._output import check_outputs, from_data, would_write
+from farfield.cli._output import check_outputs, from_data, leave_card, would_write
 from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
@@ -149,6 +149,8 @@ def run(
         bulk=jobs.options("writing"),
         announce=print,
     )
+    if target is not None and target.is_dir() and to != "cache":
+        leave_card(target, f"A data set in the layout {to}" if to != "radar-store" else "A radar store", dataset)
     print(f"{outcome.written} written, {outcome.skipped} were there and intact.")
 
 
@@ -191,6 +193,7 @@ def _convert_downloads(
         bulk=jobs.options("writing"),
         announce=partial(print, file=sys.stderr, flush=True),
     )
+    leave_card(target, "A radar store", target)
     for fault in outcome.faults:
         print(f"warning: {fault}", file=sys.stderr)
     print(f"{outcome.written} written, {outcome.skipped} were there and intact.")
