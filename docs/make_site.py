@@ -31,7 +31,7 @@ ROOMS = {
     "farfield.errors": "Errors",
     "farfield.testing": "Checks for other people's parts",
 }
-TASKS = ("score-boxes", "own-data", "train-far", "read-kradar")
+TASKS = ("get-the-data", "score-boxes", "own-data", "train-far", "read-kradar")
 _COPIED = ("CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "docs", "examples", "benchmarks/results")
 
 

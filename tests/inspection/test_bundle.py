@@ -166,7 +166,7 @@ def test_the_verb_writes_reads_back_and_takes_one_file(tmp_path: Path, capsys: p
 def test_one_file_shows_which_expectation_fails(tmp_path: Path) -> None:
     wrong_calibration(root := tree(tmp_path / "set"))
     report = examine_file(root / "training" / "calib" / "000011.txt")
-    assert any("calibration of KITTI's objects" in f.what and "P2" in f.what for f in report.findings), report
+    assert any("calibration of KITTI's objects" in f.what and "P2" in f.what for f in report.findings)
     (tmp_path / "x.rar").write_bytes(b"Rar!")
     assert examine_file(tmp_path / "x.rar").failed
     np.save(tmp_path / "polar3d_00001.npy", np.zeros((2, 256, 107, 36)))

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from farfield.datasets.calibration import read_calibration_file
 from farfield.datasets.cirrus.labels import read_labels as read_cirrus_labels
 from farfield.datasets.cirrus.layout import Labels
+from farfield.datasets.kitti.boxes import camera_of
 from farfield.datasets.kradar.labels import read_labels as read_kradar_labels
 from farfield.datasets.kradar.layout import RADAR_PRODUCTS
 from farfield.datasets.kradar.products import read_moments, read_radar
@@ -16,7 +17,13 @@ from farfield.errors import FarfieldError
 from farfield.files.atomic import read_bytes
 from farfield.files.boxes_csv import read_boxes_csv
 from farfield.files.images import image_size
-from farfield.files.kitti import read_calib, read_labels, read_raw_calib, read_record, read_tracking
+from farfield.files.kitti import (
+    read_calib,
+    read_labels,
+    read_raw_calib,
+    read_record,
+    read_tracking,
+)
 from farfield.files.poses_csv import read_poses
 from farfield.files.sizes import sized
 from farfield.files.stamps import recognise_stamps
@@ -56,6 +63,10 @@ def _stamps(path: Path) -> Any:
         raise ValueError("line 1: expected a stamp")
 
 
+def _kitti_calibration(path: Path) -> Any:
+    return camera_of(read_calib(path))
+
+
 def _cirrus(path: Path) -> Any:
     return read_cirrus_labels(path, Labels())
 
@@ -76,7 +87,7 @@ READERS: tuple[FileReader, ...] = (
     FileReader("a cloud", CLOUD_SUFFIXES, read_cloud),
     FileReader("labels of KITTI's objects", (".txt",), read_labels, ("label_2",)),
     FileReader("labels of KITTI's tracking", (".txt",), read_tracking, ("label_02",)),
-    FileReader("a calibration of KITTI's objects", (".txt",), read_calib, ("calib",)),
+    FileReader("a calibration of KITTI's objects", (".txt",), _kitti_calibration, ("calib/",)),
     FileReader("a calibration of KITTI's raw data", (".txt",), read_raw_calib, ("calib_",)),
     FileReader("a record of KITTI's GPS and IMU", (".txt",), read_record, ("oxts",)),
     FileReader("labels of K-Radar", (".txt",), read_kradar_labels, ("info_label", "visibility", "uwipl")),
