@@ -115,7 +115,8 @@ def run(
         )
     store_products = tuple(name.strip() for name in products.split(","))
     store = StoreSettings(products=store_products, region=region, rate=rate, over=over, doppler=doppler)
-    if to == "radar-store" and target is not None and format is None and _are_downloads(source):
+    unnamed = format is None and reading.mapping is None
+    if to == "radar-store" and target is not None and unnamed and _are_downloads(source):
         _convert_downloads((source, *reading.roots), target, store, jobs, (keep, verify, overwrite, dry_run))
         return
     if keep:

@@ -68,7 +68,8 @@ def run(
         if bundle is not None:
             raise ConfigError(f"--bundle: expected a data set's folder, got the file {path}")
         return _report(_of_file(path), json)
-    if path.is_dir() and format is None and (downloads := _of_downloads(path, reading.roots)) is not None:
+    unnamed = path.is_dir() and format is None and reading.mapping is None
+    if unnamed and (downloads := _of_downloads(path, reading.roots)) is not None:
         if bundle is not None:
             _write_bundle(bundle, path, None, downloads, "", mask)
         return _report(downloads, json)

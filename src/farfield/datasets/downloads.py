@@ -77,12 +77,17 @@ class ArchiveContent:
         return f"{name}: {', '.join(parts)}{refused}"
 
 
-def archives_in(roots: Iterable[Path]) -> list[Path]:
-    """Zip archives in some folders and up to three below, in order; links are not followed."""
+def archives_in(roots: Iterable[Path], *, depth: int = _DEPTH) -> list[Path]:
+    """Zip archives in some folders and those below, in order.
+
+    Args:
+        roots: The folders.
+        depth: How far below they are looked for.
+    """
     paths: dict[Path, None] = {}
     for root in roots:
-        for depth in range(_DEPTH + 1):
-            pattern = "*/" * depth + "*.[zZ][iI][pP]"
+        for level in range(depth + 1):
+            pattern = "*/" * level + "*.[zZ][iI][pP]"
             paths |= dict.fromkeys(path for path in sorted(root.glob(pattern)) if path.is_file())
     return list(paths)
 
@@ -114,9 +119,14 @@ _COMPILED = [(data, kind, re.compile(pattern)) for data, kind, pattern in SIGNS]
 _SAID = 12
 
 
-def archive_sentences(root: Path) -> Sequence[str]:
-    """What lies in the archives of a folder, a sentence each, at most twelve; none where there is no archive."""
-    return list(_sentences(archives_in([root]) if root.is_dir() else [], root))
+def archive_sentences(root: Path, *, depth: int = _DEPTH) -> Sequence[str]:
+    """What lies in the archives of a folder, a sentence each, at most twelve; none where there is no archive.
+
+    Args:
+        root: The folder.
+        depth: How far below it they are looked for.
+    """
+    return list(_sentences(archives_in([root], depth=depth) if root.is_dir() else [], root))
 
 
 def _sentences(paths: Sequence[Path], root: Path) -> Iterator[str]:

@@ -40,6 +40,7 @@ def archives_of(root: Path, folder: Path) -> Path:
     pack(folder / "rdr_polar_3d.zip", root, ("rdr_polar_3d/*/*",))
     pack(folder / "1_meta.zip", root, ("1/info_calib/*", "1/info_label/*", "1/description.txt"), below="1")
     pack(folder / "58.zip", root, ("58/info_calib/*", "58/info_label/*", "58/description.txt", "58/os2-64/*"))
+    pack(folder / "revised_labels.zip", root, ("kradar_revised_label*/**/*.txt",))
     pack(folder / "1_lpc.zip", root, ("1/os2-64/*",))
     (folder / "1_lpc.zip").write_bytes((folder / "1_lpc.zip").read_bytes()[:2000])
     (folder / "58_lpc.zip").write_bytes(b"")
