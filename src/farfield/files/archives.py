@@ -5,6 +5,7 @@ import sys
 import zipfile
 import zlib
 from dataclasses import dataclass
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
@@ -109,6 +110,7 @@ def list_zip(path: Path) -> ZipListing:
     Args:
         path: The archive.
     """
+    head = b""
     try:
         with open_file(path, max_bytes=None) as file:
             size = file.seek(0, 2)
@@ -122,7 +124,9 @@ def list_zip(path: Path) -> ZipListing:
                 entries = archive.infolist()
     except FileFormatError as error:
         return ZipListing(path=path, fault=f"{error.got}")
-    except _ERRORS:
+    except _ERRORS as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            return ZipListing(path=path, fault=f"cannot be read ({error.strerror}).")
         if head[:4] != b"PK\x03\x04":
             return ZipListing(path=path, fault=f"no zip archive, or one whose beginning is damaged. {_FRESH}")
         return ZipListing(path=path, fault=f"cut: the directory at its end is not there. {_FRESH}")
@@ -172,10 +176,12 @@ def unpack(member: ArchiveMember, target: Path) -> None:
     """
     fault = ""
     target.parent.mkdir(parents=True, exist_ok=True)
-    with open_file(member.archive, max_bytes=None) as file, open_atomic(target) as out:
+    status = member.archive.stat()
+    with open_atomic(target) as out:
         count = 0
         try:
-            with zipfile.ZipFile(file) as archive, archive.open(member.name) as source:
+            archive = _opened(member.archive, status.st_size, status.st_mtime_ns)
+            with archive.open(member.name) as source:
                 while block := source.read(_BLOCK_BYTES):
                     count += len(block)
                     if count > member.bytes:
@@ -193,3 +199,11 @@ def unpack(member: ArchiveMember, target: Path) -> None:
                 got=fault or f"{count} bytes",
                 fix=_FRESH,
             )
+
+
+@lru_cache(maxsize=4)
+def _opened(path: Path, size: int, changed_ns: int) -> zipfile.ZipFile:
+    """An archive whose directory has been read: that of 35,000 members takes longer than unpacking one of them."""
+    del size, changed_ns  # which tell it from what may stand under the name later
+    open_file(path, max_bytes=None).close()  # a regular file
+    return zipfile.ZipFile(path)

@@ -8,7 +8,7 @@ calibrations and the weather are unpacked into the store, which then opens as K-
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -313,6 +313,8 @@ def convert_downloads(
         ConfigError: If the disk has no room, or the target is where the archives are.
     """
     settings, announce = settings or StoreSettings(), announce or _silent
+    usable = [radar for radar in downloads.radar if "cells" in settings.products or radar.source == SOURCES[0]]
+    downloads = replace(downloads, radar=tuple(usable))
     if not downloads.radar:
         shown = "".join(f"\n  {fault}" for fault in downloads.faults[:10])
         raise DatasetError(
