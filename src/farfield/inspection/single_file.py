@@ -139,16 +139,16 @@ def examine_file(path: Path) -> DoctorReport:
 
 def _ordered(path: Path) -> list[FileReader]:
     """Readers of a file's suffix, those that its path hints at first."""
-    place = "/".join(path.absolute().parts[-3:]).lower()
+    tail = "/".join(path.absolute().parts[-3:]).lower()
     able = [reader for reader in READERS if path.suffix.lower() in reader.suffixes]
-    return sorted(able, key=lambda reader: not any(hint in place for hint in reader.hint))
+    return sorted(able, key=lambda reader: not any(hint in tail for hint in reader.hint))
 
 
 def _verdicts(path: Path, takers: list[str], refusals: list[tuple[str, str]]) -> Iterator[Finding]:
     for name in takers:
         yield Finding(severity="ok", topic="read", what=f"taken as {name}")
-    place = "/".join(path.absolute().parts[-3:]).lower()
-    meant = {reader.name for reader in READERS if any(hint in place for hint in reader.hint)}
+    tail = "/".join(path.absolute().parts[-3:]).lower()
+    meant = {reader.name for reader in READERS if any(hint in tail for hint in reader.hint)}
     for name, words in refusals:
         if not takers or name in meant:
             yield Finding(severity="warn" if takers else "fail", topic="refused", what=f"not taken as {name}: {words}")
