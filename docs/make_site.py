@@ -31,7 +31,9 @@ ROOMS = {
     "farfield.errors": "Errors",
     "farfield.testing": "Checks for other people's parts",
 }
-TASKS = ("tutorial", "cookbook", "score-boxes", "own-data", "train-far", "read-kradar", "faq", "model-zoo")
+TASKS = (
+    "tutorial", "cookbook", "get-the-data", "score-boxes", "own-data", "train-far", "read-kradar", "faq", "model-zoo",
+)  # fmt: skip
 COMING_FROM = ("from-openpcdet", "from-mmdetection3d", "from-kradar-kit", "from-nuscenes-devkit")
 _COPIED = ("CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "docs", "examples", "benchmarks/results")
 

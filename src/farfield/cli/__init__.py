@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from farfield.cli._help import HELP, HELP_ALL, help_text
+from farfield.cli._output import note_command
 from farfield.errors import FarfieldError, MissingExtraError
 
 GROUPS = {
@@ -138,6 +139,7 @@ def _status(arguments: list[str]) -> int:
         return _print_completion(arguments[1:])
     verbose = any(word in _VERBOSE for word in arguments)
     arguments = [word for word in arguments if word not in _VERBOSE]
+    note_command(arguments)
     if not arguments:
         print(overview(), end="")
         return 2

@@ -10,7 +10,7 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, OWN_BOXES, Jobs, Reading, ReadingFlags, ShownBoxes
-from farfield.cli._output import check_outputs, print_doubts, would_write
+from farfield.cli._output import check_outputs, leave_card, print_doubts, would_write
 from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
@@ -137,6 +137,8 @@ def run(
         if out is not None and journal is not None:
             results.write(out, predictions)
             journal.unlink(missing_ok=True)
+            if chosen_format == "kitti":
+                leave_card(out, f"Boxes that {Path(detector).name} predicted", frames)
             print("".join(f"note: {note}\n" for note in results.notes), end="")
             least = loaded.config.score_threshold
             print(
