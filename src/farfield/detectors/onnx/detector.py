@@ -61,6 +61,7 @@ class OnnxDetector(TrainedDetector):
         classes: Classes to give, or for each of them the name to give it.
         calibrated: Whether scores are calibrated, where the file holds how.
         threads: Threads of the network; as many as OMP_NUM_THREADS says, or the cores that this process may use.
+        optimised: Let onnxruntime fuse operators.
 
     Raises:
         FileFormatError: If the file is none that ``farfield export`` writes, is damaged, or holds what none of ours
@@ -82,19 +83,21 @@ class OnnxDetector(TrainedDetector):
         classes: Classes | None = None,
         calibrated: bool = True,
         threads: int | None = None,
+        optimised: bool = True,
     ) -> None:
         if str(device or "auto") not in ("auto", "cpu") or precision not in ("auto", "fp32"):
             raise ConfigError(
                 f"{path}: expected device auto or cpu and precision auto or fp32, for which the file was exported; got "
                 f"{device} and {precision}."
             )
-        self.path, self.threads = Path(path), threads
+        self.path, self.threads, self.optimised = Path(path), threads, optimised
         if not self.path.is_file():
             raise FarfieldError(f"{path}: expected an exported detector, found nothing. Make one with: farfield export")
         data = read_bytes(self.path, max_bytes=MAX_BYTES)
         content = read_content(self.path, data)
         self.record, self.provenance = record_of(self.path, content)
-        self._specs, self._sha256 = content.inputs, hashlib.sha256(data).hexdigest()
+        self._specs, self._gives = content.inputs, frozenset(content.outputs)
+        self._sha256 = hashlib.sha256(data).hexdigest()
         self.device, self.precision, self.why_precision = RuntimeDevice(), "fp32", "the file's number type"
         self.cloud, self._name, record = cloud, self.record.name, self.record
         self._config = OnnxSettings(
@@ -109,7 +112,7 @@ class OnnxDetector(TrainedDetector):
         if self._config.max_boxes < 1:
             raise ConfigError(f"max_boxes: expected 1 or more, got {max_boxes}.")
         self.chosen = None if classes is None else ChosenClasses.of(classes, record.classes, self._config.max_boxes)
-        self._session = _session(self.path, data, threads)
+        self._session = _session(self.path, data, threads, optimised)
 
     @classmethod
     def load(cls, name: str | Path, **options: Any) -> "OnnxDetector":
@@ -154,7 +157,7 @@ class OnnxDetector(TrainedDetector):
         data = read_bytes(self.path, max_bytes=MAX_BYTES)
         if hashlib.sha256(data).hexdigest() != self._sha256:
             raise FileFormatError(self.path, where="bytes", expected="the file that was loaded", got="another one")
-        self._session = _session(self.path, data, self.threads)
+        self._session = _session(self.path, data, self.threads, self.optimised)
 
     def digest(self) -> str:
         """SHA-256 of all that decides its boxes: the file and the choices."""
@@ -188,11 +191,12 @@ class OnnxDetector(TrainedDetector):
             FarfieldError: If it does not run, such as for want of memory.
         """
         feeds = {name: tensors[name] if name in tensors else _no_rows(spec) for name, spec in self._specs.items()}
+        results = [*self.record.reading.results, *(["index"] if "index" in self._gives else [])]
         try:
-            outputs = self._session.run(list(self.record.reading.results), feeds)
+            outputs = self._session.run(results, feeds)
         except Exception as error:  # onnxruntime's errors have no common base
             raise FarfieldError(f"{self.path}: the network does not run: {plain(error)[:300]}") from error
-        return dict(zip(self.record.reading.results, outputs, strict=True))
+        return dict(zip(results, outputs, strict=True))
 
     def finished(self, points: np.ndarray, candidates: Candidates) -> Boxes:
         """Scored boxes, best first: those above the threshold, after suppression, calibrated, of the chosen classes.
@@ -218,7 +222,9 @@ class OnnxDetector(TrainedDetector):
             label=np.array(self.record.classes, dtype=np.str_)[np.clip(kind, 0, len(self.record.classes) - 1)],
             score=score,
         )
-        limit = config.max_boxes if bands is None and self.chosen is None else max(config.max_boxes, _BEFORE_CALIBRATION)
+        limit = (
+            config.max_boxes if bands is None and self.chosen is None else max(config.max_boxes, _BEFORE_CALIBRATION)
+        )
         limit = limit if bands is not None else max(config.max_boxes, self.record.max_boxes) if self.chosen else limit
         boxes = boxes[rotated_nms(boxes, iou_threshold=config.nms_iou, limit=limit)]
         boxes = boxes if bands is None else self._calibrated(boxes, points[:, :3])
@@ -237,7 +243,7 @@ def _no_rows(spec: TensorSpec) -> np.ndarray:
     return np.zeros((0, *(side or 1 for side in spec.shape[1:])), dtype=spec.dtype)
 
 
-def _session(path: Path, data: bytes, threads: int | None) -> Any:
+def _session(path: Path, data: bytes, threads: int | None, optimised: bool) -> Any:
     """A session of onnxruntime on the CPU, of bytes that were checked: no other file is opened."""
     try:
         import onnxruntime
@@ -250,9 +256,9 @@ def _session(path: Path, data: bytes, threads: int | None) -> Any:
     options.inter_op_num_threads, options.enable_mem_pattern = 1, False
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # two processes would starve each other
     options.log_severity_level = 3
+    if not optimised:
+        options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:
         raise FileFormatError(path, where="graph", expected="a network that runs", got=plain(error)[:300]) from error
-
-

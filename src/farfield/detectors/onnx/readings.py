@@ -81,7 +81,10 @@ class Reading(PlainSettings, ABC):
 def described(tensors: Tensors, open_sides: Collection[str] = ()) -> dict[str, tuple[str, tuple[int | None, ...]]]:
     """Number type and sides after the first of arrays, as an ONNX file states them."""
     types = {name: "?" if values.dtype == np.bool_ else values.dtype.str for name, values in tensors.items()}
-    sides = {name: tuple(None if name in open_sides else side for side in values.shape[1:]) for name, values in tensors.items()}
+    sides = {
+        name: tuple(None if name in open_sides else side for side in values.shape[1:])
+        for name, values in tensors.items()
+    }
     return {name: (types[name], sides[name]) for name in tensors}
 
 

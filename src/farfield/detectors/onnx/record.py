@@ -102,7 +102,9 @@ def record_of(path: Path, content: OnnxContent) -> tuple[OnnxRecord, dict[str, A
         expected = f"those that farfield export writes, {RECORD}: axes, units and thresholds of other files are unknown"
         raise FileFormatError(path, where="metadata", expected=expected, got=got, fix=fix)
     if len(text) > _MAX_RECORD or len(history) > _MAX_PROVENANCE:
-        raise FileFormatError(path, where="metadata", expected="a short record", got=f"{len(text):,} characters", fix=fix)
+        raise FileFormatError(
+            path, where="metadata", expected="a short record", got=f"{len(text):,} characters", fix=fix
+        )
     try:
         record, provenance = OnnxRecord.model_validate(plain_json(text)), plain_json(history)
         if not isinstance(provenance, dict):
@@ -124,8 +126,13 @@ def _check_inputs(path: Path, reading: Reading, content: OnnxContent) -> None:
             raise FileFormatError(path, where="inputs", expected=", ".join(prepared), got=name[:80])
         dtype, sides = sample
         fixed = spec.shape[1:]
-        if spec.dtype != dtype or len(spec.shape) != len(sides) + 1 or spec.shape[0] is not None or any(
-            side is not None and want is not None and side != want for side, want in zip(fixed, sides, strict=True)
+        if (
+            spec.dtype != dtype
+            or len(spec.shape) != len(sides) + 1
+            or spec.shape[0] is not None
+            or any(
+                side is not None and want is not None and side != want for side, want in zip(fixed, sides, strict=True)
+            )
         ):
             expected = f"{dtype} of {('n', *sides)}"
             raise FileFormatError(path, where=f"input {name}", expected=expected, got=f"{spec.dtype} of {spec.shape}")

@@ -9,7 +9,16 @@ from pydantic import Field
 
 from farfield.detectors.onnx.cells import Triple, in_float32, means_by_group, neighbour_table, rows_among, split_keys
 from farfield.detectors.onnx.cells import strided_table as strided
-from farfield.detectors.onnx.readings import Candidates, Positions, Run, SparseLevel, Tensors, VoxelReading, described, level_tables
+from farfield.detectors.onnx.readings import (
+    Candidates,
+    Positions,
+    Run,
+    SparseLevel,
+    Tensors,
+    VoxelReading,
+    described,
+    level_tables,
+)
 
 _FLAT: Triple = (1, 3, 3)
 _PAIR: Triple = (1, 2, 2)

@@ -21,11 +21,80 @@ MAX_MADE = 1 << 29
 LARGEST = 1e10
 """No weight is larger, as :data:`farfield.detectors.soundness.LARGEST`."""
 OPERATORS = frozenset(
-    "Abs Add And ArgMax Atan BatchNormalization Cast CastLike Ceil Clip Concat Constant ConstantOfShape Conv Cos Div "
-    "Equal Exp Expand Flatten Floor Gather GatherElements GatherND Gemm Greater GreaterOrEqual Identity IsNaN Less "
-    "LessOrEqual Log MatMul Max Min Mod Mul Neg Not Or Pad Pow Range Reciprocal ReduceMax ReduceMean ReduceSum Relu "
-    "Reshape Round ScatterElements ScatterND Shape Sigmoid Sign Sin Size Slice Softmax Split SplitToSequence Sqrt "
-    "Squeeze Sub Sum Tan Tile TopK Transpose Unsqueeze Where Xor".split()
+    [
+        "Abs",
+        "Add",
+        "And",
+        "ArgMax",
+        "Atan",
+        "BatchNormalization",
+        "Cast",
+        "CastLike",
+        "Ceil",
+        "Clip",
+        "Concat",
+        "Constant",
+        "ConstantOfShape",
+        "Conv",
+        "Cos",
+        "Div",
+        "Equal",
+        "Exp",
+        "Expand",
+        "Flatten",
+        "Floor",
+        "Gather",
+        "GatherElements",
+        "GatherND",
+        "Gemm",
+        "Greater",
+        "GreaterOrEqual",
+        "Identity",
+        "IsNaN",
+        "Less",
+        "LessOrEqual",
+        "Log",
+        "MatMul",
+        "Max",
+        "Min",
+        "Mod",
+        "Mul",
+        "Neg",
+        "Not",
+        "Or",
+        "Pad",
+        "Pow",
+        "Range",
+        "Reciprocal",
+        "ReduceMax",
+        "ReduceMean",
+        "ReduceSum",
+        "Relu",
+        "Reshape",
+        "Round",
+        "ScatterElements",
+        "ScatterND",
+        "Shape",
+        "Sigmoid",
+        "Sign",
+        "Sin",
+        "Size",
+        "Slice",
+        "Softmax",
+        "Split",
+        "SplitToSequence",
+        "Sqrt",
+        "Squeeze",
+        "Sub",
+        "Sum",
+        "Tan",
+        "Tile",
+        "TopK",
+        "Transpose",
+        "Unsqueeze",
+        "Where",
+        "Xor",
+    ]
 )
 """What exported networks are made of; others are refused."""
 _NUMBERS = {1: "<f4", 2: "u1", 3: "i1", 4: "<u2", 5: "<i2", 6: "<i4", 7: "<i8", 9: "?", 10: "<f2", 11: "<f8", 13: "<u8"}
@@ -162,7 +231,11 @@ def _node(data: memoryview, constants: dict[str, np.ndarray]) -> str:
                 _, array = _tensor(_bytes(value))
                 if kind == "Constant" and results:
                     constants[results[0]] = array
-    shape = constants.get(names[{"ConstantOfShape": 0}.get(kind, 1)]) if kind in _SHAPED and len(names) > 1 - (kind == "ConstantOfShape") else None
+    shape = (
+        constants.get(names[{"ConstantOfShape": 0}.get(kind, 1)])
+        if kind in _SHAPED and len(names) > 1 - (kind == "ConstantOfShape")
+        else None
+    )
     if shape is not None and shape.dtype.kind == "i" and shape.size <= 64:
         numbers = math.prod(abs(int(side)) for side in shape.reshape(-1).tolist() if side)
         if numbers > MAX_MADE:
