@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from farfield.calibration.lidar_lidar import Registration
     from farfield.calibration.solving import CalibrationKind
     from farfield.datasets.base import Dataset
+    from farfield.detectors.exporting.writing import Export
     from farfield.detectors.info import DescribedDetector, DetectorFunction
     from farfield.detectors.network import Network
+    from farfield.detectors.onnx.detector import OnnxDetector
     from farfield.detectors.runtime import Detector
     from farfield.experiments.adapting import AdaptationResult
     from farfield.frame import Cloud, Frame
@@ -64,8 +66,10 @@ def load_detector(
     nms_iou: float | None = None,
     max_boxes: int | None = None,
     classes: "Iterable[str] | Mapping[str, str] | None" = None,
-) -> "Detector":
-    """Load a detector: a bundled name such as ``"pointpillars-cirrus-sim"``, a run's folder, or a weights file.
+) -> "Detector | OnnxDetector":
+    """Load a detector: a bundled name such as ``"pointpillars-cirrus-sim"``, a run's folder, a weights file.
+
+    Or one that :func:`export` wrote, ``.onnx``, which needs no torch.
 
     Args:
         name: Which one.
@@ -82,21 +86,55 @@ def load_detector(
     Raises:
         FarfieldError: If there is nothing of this name.
         ConfigError: If a limit is not possible, or the detector does not know a class.
-        MissingExtraError: If torch is not installed.
+        MissingExtraError: If torch, or for an exported detector onnxruntime, is not installed.
     """
+    options: dict[str, Any] = {
+        "device": device,
+        "precision": precision,
+        "cloud": cloud,
+        "score_threshold": score_threshold,
+        "nms_iou": nms_iou,
+        "max_boxes": max_boxes,
+        "classes": classes,
+    }
+    if Path(name).suffix.lower() == ".onnx":
+        from farfield.detectors.onnx.detector import OnnxDetector
+
+        return OnnxDetector(name, **options)
     _require_torch()
     from farfield.detectors.runtime import Detector
 
-    return Detector.load(
-        name,
-        device=device,
-        precision=precision,
-        cloud=cloud,
-        score_threshold=score_threshold,
-        nms_iou=nms_iou,
-        max_boxes=max_boxes,
-        classes=classes,
-    )
+    return Detector.load(name, **options)
+
+
+def export(
+    detector: "Detector | Path | str", out: Path | str, *, licence: str = "", score_threshold: float | None = None
+) -> "Export":
+    """Write a trained detector as an ONNX file that runs without torch: what ``farfield export`` does.
+
+    The file is compared with the network on five clouds before it is written; beside it stands a card, ``OUT.md``.
+
+    Args:
+        detector: A bundled detector's name, a run's folder, a weights file, or a loaded detector (fp32, on the CPU).
+        out: The file, ``.onnx``; :func:`load_detector` takes it.
+        licence: Under which the weights may be used, for the card.
+        score_threshold: The file's own threshold; that of the weights unless given.
+
+    Returns:
+        What was written, with the parity of each cloud.
+
+    Raises:
+        FarfieldError: If there are no such weights, or file and network do not agree; nothing is left then.
+        ConfigError: If the detector is of a kind that is not exported.
+        MissingExtraError: If torch, onnx, onnxscript or onnxruntime is not installed.
+    """
+    _require_torch()
+    from farfield.detectors.exporting.writing import export as write
+    from farfield.detectors.runtime import Detector
+
+    if not isinstance(detector, Detector):
+        detector = Detector.load(detector, device="cpu", precision="fp32", score_threshold=score_threshold)
+    return write(detector, Path(out), licence=licence)
 
 
 def detect(

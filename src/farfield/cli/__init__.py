@@ -31,6 +31,7 @@ VERBS = {
     "adapt": "adapt a detector to your own unlabelled sweeps; resumes by itself",
     "reproduce": "put a paper's tables to the test: a grid of trainings, decisions, one page",
     "import-weights": "turn an OpenPCDet checkpoint into a weights file",
+    "export": "write a trained detector as an ONNX file that runs without torch",
     "predict": "detect objects in clouds or a data set and write the boxes",
     "evaluate": "run a detector over a data set and score it by range",
     "track": "give detections identities and velocities over time",

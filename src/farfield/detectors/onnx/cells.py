@@ -78,9 +78,9 @@ def strided_table(
         fits = np.ones(len(keys), dtype=np.bool_)
         target = np.zeros(len(keys), dtype=np.int64)
         for along, by, every, pad, size in zip(index, step, stride, padding, out_shape, strict=True):
-            place, rest = np.divmod(along + (pad - by), every)
-            fits &= (rest == 0) & (place >= 0) & (place < size)
-            target = target * size + place
+            output, rest = np.divmod(along + (pad - by), every)
+            fits &= (rest == 0) & (output >= 0) & (output < size)
+            target = target * size + output
         rows = np.flatnonzero(fits)
         sources.append(rows)
         targets.append(target[rows])

@@ -258,12 +258,12 @@ class PointReading(Reading):
         second = self.refined(first, {name: values.astype(np.float32) for name, values in numbers.items()})
         return described({**first, **second}, open_sides=("semantic", "extra"))
 
-    def detect(self, points: Float32[np.ndarray, "n c"], run: Run) -> Candidates:
+    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> Candidates:
         """Ask for proposals, choose among them, ask for boxes; none where there are no points or no proposals."""
         none = Candidates(np.zeros((0, 7)), np.zeros(0), np.zeros(0, dtype=np.int64))
-        if not len(self.chosen(points)):
+        first = self.inputs(points) if first is None else first
+        if not len(first["xyz"]):
             return none
-        first = self.inputs(points)
         second = self.refined(first, run(first))
         if not len(second["proposals"]):
             return none

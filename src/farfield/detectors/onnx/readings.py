@@ -6,11 +6,11 @@ does what the encoder of its detector does in PyTorch, down to the number type.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping
-from typing import ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from farfield.detectors.config import GridConfig, VoxelGridConfig
 from farfield.detectors.onnx.cells import (
@@ -32,6 +32,10 @@ Positions = Literal["absolute", "relative"]
 Columns = tuple[str, ...]
 _LOG_POWER_UNIT = 0.01
 _CUBE: Triple = (3, 3, 3)
+_MOST_LAYERS = 1000
+
+Size = Annotated[int, Field(ge=1, le=16)]
+Padding = Annotated[int, Field(ge=0, le=16)]
 
 
 class Candidates(NamedTuple):
@@ -64,9 +68,15 @@ class Reading(PlainSettings, ABC):
     results: ClassVar[tuple[str, ...]] = ("boxes", "scores", "labels")
     """Outputs of the network that are looked at."""
 
-    def detect(self, points: Float32[np.ndarray, "n c"], run: Run) -> Candidates:
-        """The decoded boxes of one frame."""
-        return candidates_of(run(self.inputs(points)))
+    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> Candidates:
+        """The decoded boxes of one frame.
+
+        Args:
+            points: What the network reads.
+            run: Asks it.
+            first: What :meth:`inputs` gives, where that was made before.
+        """
+        return candidates_of(run(self.inputs(points) if first is None else first))
 
     def blank(self) -> dict[str, tuple[str, tuple[int | None, ...]]]:
         """Of each input its number type and its sides after the first; None for one that weights decide."""
@@ -150,6 +160,12 @@ class VoxelReading(Reading, ABC):
     grid: VoxelGridConfig
     multiple: int = Field(ge=1, le=65536)
 
+    @model_validator(mode="after")
+    def _few_layers(self) -> "VoxelReading":
+        if self.shape[0] > _MOST_LAYERS:
+            raise ValueError(f"expected at most {_MOST_LAYERS} layers of cells along z, got {self.shape[0]}")
+        return self
+
     @property
     def shape(self) -> Triple:
         """Cells along z, x and y."""
@@ -208,9 +224,9 @@ class SparseLevel(PlainSettings):
         followed: Whether submanifold convolutions with a kernel of three cells follow.
     """
 
-    kernel: tuple[int, int, int]
-    stride: tuple[int, int, int]
-    padding: tuple[int, int, int]
+    kernel: tuple[Size, Size, Size]
+    stride: tuple[Size, Size, Size]
+    padding: tuple[Padding, Padding, Padding]
     followed: bool
 
 
@@ -355,8 +371,8 @@ class RadarCellReading(RadarReading):
         tables, cells = level_tables(keys, self.shape, self.levels)
         for number, (level_keys, shape) in enumerate(cells, 1):
             whole: Triple = (shape[0], 1, 1)
-            place, _, tables[f"column_{number}"] = strided_table(level_keys, shape, whole, (1, 1, 1), (0, 0, 0))
-            tables[f"place_{number}"] = place
+            table = strided_table(level_keys, shape, whole, (1, 1, 1), (0, 0, 0))
+            tables |= {f"place_{number}": table[0], f"column_{number}": table[2]}
         return {**tensors, **tables}
 
     def _in_unit_grid(self, points: np.ndarray) -> np.ndarray:

@@ -77,10 +77,9 @@ class SparseCentreReading(VoxelReading):
         votes = {"votes": np.zeros((0, 3), dtype=np.float32), "map_out": np.zeros((0, 1), dtype=np.float32)}
         return described({**self.inputs(none), **self.grown(none, votes)}, open_sides=("map",))
 
-    def detect(self, points: Float32[np.ndarray, "n c"], run: Run) -> Candidates:
+    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> Candidates:
         """Ask for votes, grow the map, ask for boxes."""
-        first = self.inputs(points)
-        votes = run(first)
+        votes = run(self.inputs(points) if first is None else first)
         return self.candidates_of(run(self.grown(points, votes)))
 
     def candidates_of(self, outputs: Tensors) -> Candidates:
@@ -108,10 +107,10 @@ class SparseCentreReading(VoxelReading):
         steps = np.clip(votes[:, 1:], -np.float32(self.reach_cells), np.float32(self.reach_cells))
         chosen = score > self.vote_threshold
         chosen[np.argsort(-score, kind="stable")[: self.vote_least]] = True
-        place = np.stack(np.divmod(columns, ny), 1).astype(np.float32) + np.float32(0.5) + steps
-        target = np.floor(place).astype(np.int64)
+        at = np.stack(np.divmod(columns, ny), 1).astype(np.float32) + np.float32(0.5) + steps
+        target = np.floor(at).astype(np.int64)
         rows = np.flatnonzero(((target >= 0) & (target < [nx, ny])).all(1) & chosen)
-        voted, rest = target[rows, 0] * ny + target[rows, 1], place[rows] - target[rows] - np.float32(0.5)
+        voted, rest = target[rows, 0] * ny + target[rows, 1], at[rows] - target[rows] - np.float32(0.5)
         grown, ring = [columns, voted], range(-self.vote_ring, self.vote_ring + 1)
         for dx, dy in product(ring, ring):
             to = target[rows] + [dx, dy]
