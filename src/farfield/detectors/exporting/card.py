@@ -1,19 +1,17 @@
-"""The card beside an exported detector: what it reads and gives, what it learnt from, how well it scores, what runs where."""
+"""The card of an exported detector: what it reads and gives, what it learnt from, its scores, what runs where."""
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from farfield.detectors.catalogue import figures
+from farfield.detectors.exporting.parity import CloudParity
 from farfield.detectors.exporting.plans import BOUNDARIES
 from farfield.detectors.onnx.record import OnnxRecord
 
-if TYPE_CHECKING:
-    from farfield.detectors.exporting.writing import CloudParity
-
 
 def card_text(
-    record: OnnxRecord, provenance: Mapping[str, Any], parity: "Sequence[CloudParity]", *, size: int, seconds: float
+    record: OnnxRecord, provenance: Mapping[str, Any], parity: Sequence[CloudParity], *, size: int, seconds: float
 ) -> str:
     """The card in Markdown.
 

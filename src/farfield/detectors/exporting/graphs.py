@@ -28,6 +28,8 @@ from farfield.detectors.voxelnet.network import VoxelNet
 Outputs = dict[str, Tensor]
 _GATHERED = 320  # numbers of a row that are gathered at once
 _SMALLEST_M = 0.1
+LEAST = -1e9
+"""Less than any number of a network: files hold no infinite ones."""
 
 
 class Graph(nn.Module):
@@ -74,15 +76,8 @@ def convolved(rows: Tensor, conv: Any, table: Tensor, *, multiply_first: bool = 
     weight, padded = conv.weight, with_zero_row(rows)
     size, c_in, c_out = weight.shape
     total: Tensor | None = None
-    wide = (
-        1
-        if multiply_first
-        else max(
-            number
-            for number in range(1, size + 1)
-            if size % number == 0 and (number == 1 or number * c_in <= _GATHERED)
-        )
-    )
+    divisors = [number for number in range(1, size + 1) if size % number == 0 and number * c_in <= _GATHERED]
+    wide = 1 if multiply_first else max(divisors, default=1)
     for start in range(0, size, wide):
         if multiply_first:
             part = (padded @ weight[start]).index_select(0, table[:, start])
@@ -365,7 +360,7 @@ class RadarCellGraph(Graph):
         linear, number, maps = self.encoder.linear, 0, []
         if "points" in inputs:
             learned = linear(inputs["points"])
-            start = torch.where(inputs["padded"], 0.0, -torch.inf)[:, None].expand(-1, learned.shape[1])
+            start = torch.where(inputs["padded"], 0.0, LEAST)[:, None].expand(-1, learned.shape[1])
             rows = start.scatter_reduce(0, inputs["row"][:, None].expand(-1, learned.shape[1]), learned, "amax")
         else:
             rows = linear(inputs["cells"])

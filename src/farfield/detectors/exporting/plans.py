@@ -38,7 +38,8 @@ from farfield.detectors.voxelnet.network import VoxelNet
 from farfield.errors import ConfigError
 
 BOUNDARIES = {
-    "pointpillars": "numpy: pillars and the description of each point. ONNX: point features, map, backbone, head, boxes.",
+    "pointpillars": "numpy: pillars and the description of each point. ONNX: point features, map, backbone, head, "
+    "boxes.",
     "second": "numpy: mean voxels and tables of neighbours. ONNX: sparse layers as products by table, dense map, "
     "backbone, head, boxes.",
     "voxelnet": "numpy: points by voxel and tables of neighbours. ONNX: voxel features, middle layers as products by "
@@ -48,7 +49,8 @@ BOUNDARIES = {
     "dense maps, neck, head, boxes.",
     "sparsecentre": "numpy: mean voxels, tables of neighbours, the cells that votes add between the halves. ONNX: "
     "sparse layers as products by table, votes, heat and boxes at occupied cells.",
-    "pointrcnn": "numpy: chosen points, neighbourhoods, proposals between the stages. ONNX: both stages' layers, boxes.",
+    "pointrcnn": "numpy: chosen points, neighbourhoods, proposals between the stages. ONNX: both stages' layers, "
+    "boxes.",
 }
 """What runs where, by detector; suppression is numpy's everywhere."""
 

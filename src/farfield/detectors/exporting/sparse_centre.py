@@ -7,7 +7,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from farfield.detectors.exporting.graphs import Graph, Outputs, block, with_zero_row, wrapped
+from farfield.detectors.exporting.graphs import LEAST, Graph, Outputs, block, with_zero_row, wrapped
 from farfield.detectors.sparse import SparseBlock, SparseConv
 from farfield.detectors.sparsecentre.network import ResidualBlock, SparseCentre
 
@@ -81,7 +81,7 @@ class SparseCentreGraph(Graph):
         head = network.head
         logits = head.heat(block(rows, head.heat_stem, table))
         codes = head.box(block(rows, head.box_stem, table))
-        around, peaks = with_zero_row(logits, -torch.inf), inputs["peak"]
+        around, peaks = with_zero_row(logits, LEAST), inputs["peak"]
         best = logits
         for step in range(peaks.shape[1]):
             best = torch.maximum(best, around.index_select(0, peaks[:, step]))

@@ -1,4 +1,4 @@
-"""``farfield export``: a trained detector as one ONNX file, checked against the network on five clouds, and its card."""
+"""A trained detector as one ONNX file with its card, compared with the network on five clouds before it is written."""
 
 import hashlib
 import json
@@ -6,7 +6,7 @@ import logging
 import tempfile
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -15,11 +15,21 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
 
 from farfield.detectors.exporting.card import card_text
 from farfield.detectors.exporting.clouds import checked_clouds
 from farfield.detectors.exporting.graphs import Graph
+from farfield.detectors.exporting.parity import (
+    PARITY,
+    SAME_M,
+    SAME_RAD,
+    SAME_SHARE,
+    CloudParity,
+    ask,
+    blank_inputs,
+    compared,
+    filled,
+)
 from farfield.detectors.exporting.plans import plan_of
 from farfield.detectors.onnx.detector import OnnxDetector
 from farfield.detectors.onnx.readings import Reading, Tensors
@@ -29,35 +39,8 @@ from farfield.detectors.trained import cloud_rows
 from farfield.errors import ConfigError, FarfieldError, MissingExtraError
 from farfield.files.atomic import write_bytes, write_text
 from farfield.frame import Cloud
-from farfield.geometry.boxes import Boxes, wrap_angle_rad
 
 OPSET = 20
-PARITY, SAME_SHARE, SAME_M, SAME_RAD = 1e-5, 0.999, 1e-3, 1e-4
-"""Largest difference of an output to the largest number of it; share of boxes that agree, and within what."""
-
-
-@dataclass(frozen=True)
-class CloudParity:
-    """How far file and network agree on one cloud.
-
-    Args:
-        cloud: Its name.
-        points: Its points.
-        largest: Largest difference of an output over the largest number of it, with and without graph optimisation.
-        boxes: Boxes that the network gives.
-        same: Share of them that the file gives too.
-    """
-
-    cloud: str
-    points: int
-    largest: float
-    boxes: int
-    same: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether they agree as well as they must."""
-        return self.largest <= PARITY and self.same >= SAME_SHARE
 
 
 @dataclass(frozen=True)
@@ -111,7 +94,7 @@ def export(detector: Detector, path: Path, *, licence: str = "", clouds: Mapping
         trial.write_bytes(data)
         written = OnnxDetector(trial, score_threshold=config.score_threshold)
         plainly = OnnxDetector(trial, optimised=False)
-        parity = tuple(_parity(name, cloud, detector, graph, (written, plainly)) for name, cloud in clouds.items())
+        parity = tuple(compared(name, cloud, detector, graph, (written, plainly)) for name, cloud in clouds.items())
     failed = [row for row in parity if not row.holds]
     seconds = time.perf_counter() - start
     if failed:
@@ -167,45 +150,19 @@ def _record(detector: Detector, reading: Reading, licence: str) -> OnnxRecord:
     )
 
 
-def _ask(graph: Graph, widths: Mapping[str, int], notes: list[Tensors], tensors: Tensors) -> Tensors:
-    """Ask the network in PyTorch as the file is asked, and note what went in."""
-    notes.append(tensors)
-    with torch.no_grad():
-        outputs = graph({name: torch.from_numpy(values) for name, values in _filled(tensors, widths).items()})
-    return {name: values.numpy() for name, values in zip(graph.outputs, outputs, strict=True)}
-
-
-def _filled(tensors: Tensors, blank: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Inputs in the order of the graph's; those of its other half have no rows."""
-    none = {name: np.zeros((0, *sides), dtype=dtype) for name, (dtype, sides) in blank.items() if name not in tensors}
-    return {name: np.ascontiguousarray(tensors[name]) if name in tensors else none[name] for name in blank}
-
-
-def _blank(reading: Reading, graph: Graph) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Number type and sides of every input, also of those that the weights decide."""
-    network: Any = getattr(graph, "network", None)
-    known = {} if network is None else {"map": network.channels, "semantic": network.channels}
-    if network is not None:
-        known["extra"] = 4 + len(network.config.class_names)
-    blank = reading.blank().items()
-    return {
-        name: (dtype, tuple(known[name] if side is None else side for side in sides)) for name, (dtype, sides) in blank
-    }
-
-
 def _sample(reading: Reading, graph: Graph, points: np.ndarray) -> dict[str, torch.Tensor]:
     """Inputs of both halves of a graph, as a usual cloud makes them."""
     notes: list[Tensors] = []
-    blank = _blank(reading, graph)
-    reading.detect(points, partial(_ask, graph, blank, notes))
+    blank = blank_inputs(reading, graph)
+    reading.detect(points, partial(ask, graph, blank, notes))
     joined: dict[str, np.ndarray] = {}
     for tensors in notes:
         joined |= tensors
-    return {name: torch.from_numpy(values) for name, values in _filled(joined, blank).items()}
+    return {name: torch.from_numpy(values) for name, values in sorted(filled(joined, blank).items())}
 
 
 @contextmanager
-def _quiet() -> Any:
+def _quiet() -> Iterator[None]:
     """Silence what the exporter says of its own workings."""
     loggers = [logging.getLogger(name) for name in ("torch.onnx", "onnxscript", "onnx_ir")]
     levels = [logger.level for logger in loggers]
@@ -247,6 +204,10 @@ def _onnx(graph: Graph, sample: dict[str, torch.Tensor]) -> bytes:
     del model.graph.value_info[:]
     del model.graph.metadata_props[:]
     del model.metadata_props[:]
+    domains = {node.domain for node in model.graph.node} | {""}
+    for index in reversed(range(len(model.opset_import))):
+        if model.opset_import[index].domain not in domains:
+            del model.opset_import[index]
     model.producer_name = "farfield"
     onnx.checker.check_model(model, full_check=False)
     return bytes(model.SerializeToString())
@@ -259,73 +220,3 @@ def _with_record(data: bytes, record: OnnxRecord, provenance: Mapping[str, Any])
     texts = {RECORD: record.model_dump_json(), PROVENANCE: json.dumps(provenance)}
     onnx.helper.set_model_props(model, texts)
     return bytes(model.SerializeToString())
-
-
-# Parity.
-
-
-def _parity(name: str, cloud: Cloud, detector: Detector, graph: Graph, files: tuple[OnnxDetector, ...]) -> CloudParity:
-    """Compare a cloud's outputs, input by input the same, and its boxes from end to end."""
-    reading, notes, answers = files[0].record.reading, list[Tensors](), list[Tensors]()
-    points = cloud_rows(cloud, reading.columns)
-    blank = _blank(reading, graph)
-    ask = partial(_noted, partial(_ask, graph, blank, notes), answers)
-    reading.detect(points, ask)
-    largest = 0.0
-    for tensors, answer in zip(notes, answers, strict=True):
-        for file in files:
-            largest = max(largest, _difference(answer, file.run(tensors)))
-    expected, got = detector(cloud), files[0](cloud)
-    return CloudParity(name, len(cloud), largest, len(expected), same_share(expected, got))
-
-
-def _noted(ask: Any, answers: list[Tensors], tensors: Tensors) -> Tensors:
-    answers.append(ask(tensors))
-    return answers[-1]
-
-
-def _difference(expected: Tensors, got: Tensors) -> float:
-    """Largest difference of an output over its largest number; of candidates, those that both chose, by anchor.
-
-    Which candidates are chosen may differ at the lowest scores, where two are equal within rounding.
-    """
-    rows = {name: (expected[name], got[name]) for name in got}
-    if "index" in expected and "index" in got:
-        _, ours, theirs = np.intersect1d(expected["index"], got["index"], return_indices=True)
-        if len(ours) < SAME_SHARE * len(expected["index"]):
-            return float("inf")
-        rows = {name: (one[ours], other[theirs]) for name, (one, other) in rows.items()}
-    largest = 0.0
-    for name, (one, other) in rows.items():
-        if one.shape != other.shape:
-            return float("inf")
-        if not one.size or one.dtype.kind != "f":
-            continue
-        away = np.abs(one.astype(np.float64) - other)
-        if name in ("boxes", "proposed"):  # a yaw of pi is one of -pi
-            away[:, 6] = np.abs(wrap_angle_rad(one[:, 6].astype(np.float64) - other[:, 6]))
-        largest = max(largest, float(away.max() / max(float(np.abs(one).max()), 1e-6)))
-    return largest
-
-
-def same_share(expected: Boxes, got: Boxes) -> float:
-    """Share of boxes that stand among others too, within 1 mm and 1e-4 rad, of one label; 1 where there are none.
-
-    Args:
-        expected: Boxes.
-        got: The others; where they are more, the share is of them.
-    """
-    most = max(len(expected), len(got))
-    if not most:
-        return 1.0
-    if not min(len(expected), len(got)):
-        return 0.0
-    one, other = _numbers(expected), _numbers(got)
-    away = np.abs(one[:, None, :6] - other[None, :, :6]).max(2)
-    turned = np.abs(wrap_angle_rad(one[:, None, 6] - other[None, :, 6]))
-    alike = np.asarray(expected.label)[:, None] == np.asarray(got.label)[None]
-    return float(((away <= SAME_M) & (turned <= SAME_RAD) & alike).any(1).sum() / most)
-
-
-def _numbers(boxes: Boxes) -> Float[np.ndarray, "n 7"]:
-    return np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad])

@@ -100,18 +100,20 @@ class OnnxDetector(TrainedDetector):
         self._sha256 = hashlib.sha256(data).hexdigest()
         self.device, self.precision, self.why_precision = RuntimeDevice(), "fp32", "the file's number type"
         self.cloud, self._name, record = cloud, self.record.name, self.record
+        count = record.max_boxes if max_boxes is None else max_boxes
+        most = count if classes is None else max(count, record.max_boxes)  # chosen among all boxes, then counted
         self._config = OnnxSettings(
             name=record.detector,
             class_names=record.classes,
             reach_m=record.reach_m,
             score_threshold=_within("score_threshold", score_threshold, record.score_threshold),
             nms_iou=_within("nms_iou", nms_iou, record.nms_iou),
-            max_boxes=record.max_boxes if max_boxes is None else max_boxes,
+            max_boxes=most,
             score_bands=record.score_bands if calibrated else None,
         )
-        if self._config.max_boxes < 1:
+        if count < 1:
             raise ConfigError(f"max_boxes: expected 1 or more, got {max_boxes}.")
-        self.chosen = None if classes is None else ChosenClasses.of(classes, record.classes, self._config.max_boxes)
+        self.chosen = None if classes is None else ChosenClasses.of(classes, record.classes, count)
         self._session = _session(self.path, data, threads, optimised)
 
     @classmethod
@@ -158,6 +160,12 @@ class OnnxDetector(TrainedDetector):
         if hashlib.sha256(data).hexdigest() != self._sha256:
             raise FileFormatError(self.path, where="bytes", expected="the file that was loaded", got="another one")
         self._session = _session(self.path, data, self.threads, self.optimised)
+
+    def with_cloud(self, cloud: str | Mapping[str, str] | None) -> "OnnxDetector":
+        """The same detector reading another of a frame's clouds; the session is shared."""
+        other = object.__new__(OnnxDetector)
+        vars(other).update(vars(self) | {"cloud": cloud})
+        return other
 
     def digest(self) -> str:
         """SHA-256 of all that decides its boxes: the file and the choices."""
@@ -207,7 +215,7 @@ class OnnxDetector(TrainedDetector):
         """
         config, bands = self._config, self._config.score_bands
         rows, score, kind = candidates
-        if not (np.isfinite(score).all() and np.isfinite(rows[score > 0]).all()):
+        if not (np.isfinite(score).all() and np.isfinite(rows).all()):
             raise FarfieldError(
                 f"{self.path}: expected scores, got what is not a number: the file is damaged, or a cloud holds absurd "
                 "values."
@@ -215,17 +223,16 @@ class OnnxDetector(TrainedDetector):
         least = config.score_threshold if bands is None else bands.least_score(config.score_threshold)
         keep = (score >= least) & (score > 0)
         rows, score, kind = rows[keep], score[keep], kind[keep]
+        if not ((rows[:, 3:6] > 0).all() and ((kind >= 0) & (kind < len(self.record.classes))).all()):
+            raise FarfieldError(f"{self.path}: expected boxes with sizes above 0, of its classes; the file is damaged.")
         boxes = Boxes(
             centre_m=rows[:, :3],
             size_m=rows[:, 3:6],
             yaw_rad=rows[:, 6],
-            label=np.array(self.record.classes, dtype=np.str_)[np.clip(kind, 0, len(self.record.classes) - 1)],
+            label=np.array(self.record.classes, dtype=np.str_)[kind.astype(np.int64)],
             score=score,
         )
-        limit = (
-            config.max_boxes if bands is None and self.chosen is None else max(config.max_boxes, _BEFORE_CALIBRATION)
-        )
-        limit = limit if bands is not None else max(config.max_boxes, self.record.max_boxes) if self.chosen else limit
+        limit = config.max_boxes if bands is None else max(config.max_boxes, _BEFORE_CALIBRATION)
         boxes = boxes[rotated_nms(boxes, iou_threshold=config.nms_iou, limit=limit)]
         boxes = boxes if bands is None else self._calibrated(boxes, points[:, :3])
         return boxes if self.chosen is None else self.chosen(boxes)

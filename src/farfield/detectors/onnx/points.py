@@ -86,11 +86,9 @@ def content_rank(points: Float32[np.ndarray, "n c"]) -> Int[np.ndarray, " n"]:
     """A pseudo-random number in [0, 2^31) for each point that depends on its coordinates alone, shape (n,), int64."""
     bits = np.ascontiguousarray(points[:, :3], dtype=np.float32).view(np.uint32).astype(np.uint64)
     factors = np.array([73856093, 19349663, 83492791], dtype=np.uint64)
-    mixed = np.bitwise_xor.reduce(bits * factors, axis=1)
+    mixed, low = np.bitwise_xor.reduce(bits * factors, axis=1), np.uint64(0xFFFFFFFF)
     for _ in range(2):
-        mixed = ((mixed ^ (mixed >> np.uint64(16))) & np.uint64(0xFFFFFFFF)) * np.uint64(0x85EBCA6B) & np.uint64(
-            0xFFFFFFFF
-        )
+        mixed = ((mixed ^ (mixed >> np.uint64(16))) & low) * np.uint64(0x85EBCA6B) & low
     return ((mixed ^ (mixed >> np.uint64(13))) & np.uint64(0x7FFFFFFF)).astype(np.int64)
 
 
@@ -141,6 +139,8 @@ def three_nearest(
     queries: Float32[np.ndarray, "n 3"], sources: Float32[np.ndarray, "m 3"]
 ) -> tuple[Int[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
     """The three nearest sources and their weights by inverse distance; a source that is missing weighs nothing."""
+    if not len(queries) or not len(sources):
+        return np.zeros((len(queries), 3), dtype=np.int64), np.zeros((len(queries), 3), dtype=np.float32)
     gap, row = cKDTree(sources).query(queries, k=[1, 2, 3])
     row = np.where(np.isfinite(gap), row, 0)
     weight = 1 / (gap.astype(np.float32) + np.float32(1e-8))
@@ -342,10 +342,8 @@ def ball_query_of_groups(
     """:func:`ball_query` within each group: groups are laid far apart along x, in float64, for the search."""
     if not len(points):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    apart = (
-        points.astype(np.float64)
-        + np.array([1.0, 0.0, 0.0]) * (group * (2 * np.ptp(points[:, 0]) + 4 * radius_m + 1))[:, None]
-    )
+    apart = points.astype(np.float64)
+    apart[:, 0] += group * (2 * float(np.ptp(points[:, 0])) + 4 * radius_m + 1)
     pairs = cKDTree(apart[chosen]).sparse_distance_matrix(cKDTree(apart), radius_m * _SLACK, output_type="ndarray")
     centre, point = pairs["i"].astype(np.int64), pairs["j"].astype(np.int64)
     near = np.square(points[point] - points[chosen[centre]]).sum(1) <= np.float32(radius_m * radius_m)

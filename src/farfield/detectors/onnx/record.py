@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
 from farfield.detectors.onnx.points import PointReading
 from farfield.detectors.onnx.readings import (
@@ -41,15 +41,21 @@ UNITS = {
 }
 """Units of the columns of points."""
 
+
+def _kind_of(reading: Any) -> str:
+    """Which reading a record holds: ``Field(discriminator=)`` does not go with the validators of plain settings."""
+    return str(reading.get("kind") if isinstance(reading, dict) else getattr(reading, "kind", ""))[:40]
+
+
 AnyReading = Annotated[
-    PillarReading
-    | SecondReading
-    | VoxelNetReading
-    | RadarMapReading
-    | RadarCellReading
-    | SparseCentreReading
-    | PointReading,
-    Field(discriminator="kind"),
+    Annotated[PillarReading, Tag("pillars")]
+    | Annotated[SecondReading, Tag("second")]
+    | Annotated[VoxelNetReading, Tag("voxelnet")]
+    | Annotated[RadarMapReading, Tag("radar-map")]
+    | Annotated[RadarCellReading, Tag("radar-cells")]
+    | Annotated[SparseCentreReading, Tag("sparsecentre")]
+    | Annotated[PointReading, Tag("points")],
+    Discriminator(_kind_of),
 ]
 Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
 
@@ -131,7 +137,8 @@ def _check_inputs(path: Path, reading: Reading, content: OnnxContent) -> None:
             or len(spec.shape) != len(sides) + 1
             or spec.shape[0] is not None
             or any(
-                side is not None and want is not None and side != want for side, want in zip(fixed, sides, strict=True)
+                side is not None and other is not None and side != other
+                for side, other in zip(fixed, sides, strict=True)
             )
         ):
             expected = f"{dtype} of {('n', *sides)}"

@@ -129,7 +129,7 @@ class OnnxContent:
     opset: int
 
 
-class _Damaged(ValueError):
+class _DamagedError(ValueError):
     """A message that cannot be read; its words are those of the refusal."""
 
     def __init__(self, where: str, expected: str, got: str) -> None:
@@ -151,7 +151,7 @@ def read_content(path: Path, data: bytes) -> OnnxContent:
     """
     try:
         return _model(memoryview(data))
-    except _Damaged as error:
+    except _DamagedError as error:
         fix = "Export the detector anew: farfield export DETECTOR OUT.onnx"
         raise FileFormatError(path, where=error.where, expected=error.expected, got=error.got, fix=fix) from error
     except (ValueError, IndexError, UnicodeDecodeError) as error:
@@ -169,15 +169,15 @@ def _model(data: memoryview) -> OnnxContent:
             entry = dict(_fields(_bytes(value)))
             domain = _text(entry.get(1, b""))
             if domain not in _DOMAINS:
-                raise _Damaged("operators", "those of ONNX alone", f"the domain {domain[:60]!r}")
+                raise _DamagedError("operators", "those of ONNX alone", f"the domain {domain[:60]!r}")
             opset = max(opset, _int(entry.get(2, 0)))
         elif number == 14:
             entry = dict(_fields(_bytes(value)))
             metadata[_text(entry.get(1, b""))] = _text(entry.get(2, b""))
         elif number in (20, 25):
-            raise _Damaged("model", "a graph alone", "functions of its own" if number == 25 else "a training")
+            raise _DamagedError("model", "a graph alone", "functions of its own" if number == 25 else "a training")
     if len(graphs) != 1:
-        raise _Damaged("model", "one graph", f"{len(graphs)}")
+        raise _DamagedError("model", "one graph", f"{len(graphs)}")
     return _graph(graphs[0], metadata, opset)
 
 
@@ -196,9 +196,9 @@ def _graph(data: memoryview, metadata: Mapping[str, str], opset: int) -> OnnxCon
             name, spec = _value(_bytes(value))
             (inputs if number == 11 else outputs)[name] = spec
         elif number == 15:
-            raise _Damaged("graph", "dense tensors", "a sparse one")
+            raise _DamagedError("graph", "dense tensors", "a sparse one")
     if len(nodes) > MAX_NODES:
-        raise _Damaged("graph", f"at most {MAX_NODES:,} operators", f"{len(nodes):,}")
+        raise _DamagedError("graph", f"at most {MAX_NODES:,} operators", f"{len(nodes):,}")
     operators = frozenset(_node(node, constants) for node in nodes)
     return OnnxContent(metadata, inputs, outputs, operators, opset)
 
@@ -218,32 +218,30 @@ def _node(data: memoryview, constants: dict[str, np.ndarray]) -> str:
         elif number == 5:
             attributes.append(_bytes(value))
         elif number == 7 and _text(value) not in _DOMAINS:
-            raise _Damaged("operators", "those of ONNX alone", f"one of the domain {_text(value)[:60]!r}")
+            raise _DamagedError("operators", "those of ONNX alone", f"one of the domain {_text(value)[:60]!r}")
     if kind not in OPERATORS:
-        raise _Damaged("operators", "those that an export is made of", f"{kind[:60]!r}")
+        raise _DamagedError("operators", "those that an export is made of", f"{kind[:60]!r}")
     for attribute in attributes:
         for number, value in _fields(attribute):
             if number in (6, 11):
-                raise _Damaged(f"operator {kind}", "no graph within", "one")
+                raise _DamagedError(f"operator {kind}", "no graph within", "one")
             if number in (22, 23):
-                raise _Damaged(f"operator {kind}", "dense tensors", "a sparse one")
+                raise _DamagedError(f"operator {kind}", "dense tensors", "a sparse one")
             if number in (5, 10):
                 _, array = _tensor(_bytes(value))
                 if kind == "Constant" and results:
                     constants[results[0]] = array
-    shape = (
-        constants.get(names[{"ConstantOfShape": 0}.get(kind, 1)])
-        if kind in _SHAPED and len(names) > 1 - (kind == "ConstantOfShape")
-        else None
-    )
+    where = _SHAPED.get(kind, len(names))
+    shape = constants.get(names[where]) if where < len(names) else None
     if shape is not None and shape.dtype.kind == "i" and shape.size <= 64:
         numbers = math.prod(abs(int(side)) for side in shape.reshape(-1).tolist() if side)
         if numbers > MAX_MADE:
-            raise _Damaged(f"operator {kind}", f"a tensor of at most {MAX_MADE:,} numbers", f"{numbers:,}")
+            raise _DamagedError(f"operator {kind}", f"a tensor of at most {MAX_MADE:,} numbers", f"{numbers:,}")
     return kind
 
 
-_SHAPED = ("ConstantOfShape", "Expand", "Tile", "Reshape")
+_SHAPED = {"ConstantOfShape": 0, "Expand": 1, "Tile": 1, "Reshape": 1}
+"""Operators that make a tensor of a shape, and which of their inputs says it."""
 
 
 def _tensor(data: memoryview) -> tuple[str, np.ndarray]:
@@ -264,27 +262,26 @@ def _tensor(data: memoryview) -> tuple[str, np.ndarray]:
         elif number == 9:
             raw = _bytes(value)
         elif number == 13 or (number == 14 and _int(value)):
-            raise _Damaged(f"tensor {name[:80]!r}", "numbers in this file", "external data, in another file")
+            raise _DamagedError(f"tensor {name[:80]!r}", "numbers in this file", "external data, in another file")
         elif number == 6:
-            raise _Damaged(f"tensor {name[:80]!r}", "numbers", "texts")
+            raise _DamagedError(f"tensor {name[:80]!r}", "numbers", "texts")
     where = f"tensor {name[:80]!r}"
     if kind not in _NUMBERS:
-        raise _Damaged(where, "a number type that exports use", f"type {kind}")
+        raise _DamagedError(where, "a number type that exports use", f"type {kind}")
     if len(dims) > 16 or any(not 0 <= side < 1 << 40 for side in dims):
-        raise _Damaged(where, "up to 16 sides of possible lengths", f"{dims[:16]}")
+        raise _DamagedError(where, "up to 16 sides of possible lengths", f"{dims[:16]}")
     size, item = math.prod(dims), np.dtype(_NUMBERS[kind])
     if raw is None:
         array = _typed(typed, item, size, where)
     elif len(raw) != size * item.itemsize:
-        raise _Damaged(where, f"{size * item.itemsize:,} bytes for its shape {tuple(dims)}", f"{len(raw):,}")
+        raise _DamagedError(where, f"{size * item.itemsize:,} bytes for its shape {tuple(dims)}", f"{len(raw):,}")
     else:
         array = np.frombuffer(raw, item)
     if item.kind == "f" and array.size:
-        with np.errstate(invalid="ignore", over="ignore"):
-            odd = ~(np.abs(array) <= LARGEST) & ~np.isneginf(array) if array.size == 1 else ~(np.abs(array) <= LARGEST)
+        odd = ~(np.abs(array) <= LARGEST)
         if odd.any():
             shown = f"{float(array[odd][0]):g} in {int(odd.sum())} of {array.size}"
-            raise _Damaged(where, "numbers as a training leaves them", shown)
+            raise _DamagedError(where, "numbers as a training leaves them", shown)
     return name, array
 
 
@@ -295,13 +292,13 @@ def _typed(parts: list[tuple[int, int | memoryview]], item: np.dtype, size: int,
         if number in (4, 10) and isinstance(value, memoryview):
             values += np.frombuffer(value, "<f4" if number == 4 else "<f8").tolist()
         elif number in (4, 10):
-            raise _Damaged(where, "packed numbers", "single ones")
+            raise _DamagedError(where, "packed numbers", "single ones")
         else:
             values += _ints(value)
         if len(values) > size:
             break
     if len(values) != size:
-        raise _Damaged(where, f"{size:,} numbers for its shape", f"{len(values):,}")
+        raise _DamagedError(where, f"{size:,} numbers for its shape", f"{len(values):,}")
     return np.array(values).astype(item)
 
 
@@ -311,7 +308,7 @@ def _value(data: memoryview) -> tuple[str, TensorSpec]:
     name = _text(entry.get(1, b""))
     tensor = dict(_fields(_bytes(entry.get(2, b"")))).get(1)
     if tensor is None:
-        raise _Damaged(f"input or output {name[:80]!r}", "a tensor", "something else")
+        raise _DamagedError(f"input or output {name[:80]!r}", "a tensor", "something else")
     parts = dict(_fields(_bytes(tensor)))
     shape: list[int | None] = []
     for number, value in _fields(_bytes(parts.get(2, b""))):
