@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from farfield.detectors.network import Network
     from farfield.detectors.onnx.detector import OnnxDetector
     from farfield.detectors.runtime import Detector
+    from farfield.evaluation.streaming import DropRule, SweepStream
     from farfield.experiments.adapting import AdaptationResult
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
@@ -157,6 +158,45 @@ def detect(
     from farfield.evaluation import detect as detect_all
 
     return _doubted(detect_all(detector, data, cloud=cloud, progress=progress), data, cloud)
+
+
+def stream(
+    detector: "DescribedDetector | DetectorFunction",
+    source: "Dataset | Path | str | Iterable[Frame | Cloud]",
+    *,
+    rate_hz: float | None = None,
+    drop: "DropRule | None" = None,
+    waiting: int = 1,
+    cloud: str | None = None,
+    idle_s: float | None = None,
+) -> "SweepStream":
+    """Detect in sweeps as they come: ``for boxes in ff.stream(detector, source)``.
+
+    The next sweep is read and, for an exported detector, voxelised while the network works on this one. What is dropped
+    because sweeps come faster than boxes is counted, and a warning at the end says it.
+
+    Args:
+        detector: A detector, or any function from a frame to scored boxes.
+        source: A data set or bag, or its path; with ``idle_s`` a folder of clouds that fills; or frames or clouds one
+            after the other, such as a generator that waits for a sensor.
+        rate_hz: Take sweeps at this rate, as a sensor gives them; as they come unless given.
+        drop: Which sweep is dropped where ``waiting`` others wait: ``"oldest"``, ``"newest"`` or ``"none"``; unless
+            given none, but with ``rate_hz`` the oldest.
+        waiting: Sweeps that may wait.
+        cloud: Which of a frame's clouds to read.
+        idle_s: Read the path as a folder that fills, until no file came for so long.
+
+    Returns:
+        An iterable of boxes; its ``sweep`` and ``latency_ms`` are those of the last ones, its ``report`` has counts, p50
+        and p99.
+
+    Raises:
+        ConfigError: If a choice is not possible.
+        DatasetError: If there is no such source.
+    """
+    from farfield.evaluation.streaming import stream as stream_sweeps
+
+    return stream_sweeps(detector, source, rate_hz=rate_hz, drop=drop, waiting=waiting, cloud=cloud, idle_s=idle_s)
 
 
 def _doubted(detections: "Detections", data: "Sequence[Frame] | Dataset", cloud: str | None) -> "Detections":

@@ -39,7 +39,7 @@ def run(
         frame: Number of the frame, counted from 0.
         radar: Draw the radar's power instead of a cloud: of a tesseract, a cube, a polar map or the store's cells, else
             the radar's points.
-        detector: A bundled detector's name, a run's folder, or a weights file, whose boxes are drawn too.
+        detector: A bundled detector's name, a run's folder, a weights file or an .onnx file, whose boxes are drawn too.
         cloud: Which cloud; the first, or the first that suits the detector, unless given.
         boxes: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
         reading: How the files are read.

@@ -9,7 +9,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -229,22 +229,20 @@ def stream(
     waiting: int = 1,
     cloud: str | None = None,
     idle_s: float | None = None,
-    options: Mapping[str, Any] | None = None,
 ) -> SweepStream:
     """Detect in sweeps as they come.
 
     Args:
         detector: A detector, or a function from a frame to boxes. Of an exported one the voxels of the next sweep are
             made beside the network of this one.
-        source: A data set or bag, or its path; a folder of cloud files that fills (of no known format); or an iterable
-            of frames or clouds, such as a generator that waits for a sensor.
+        source: A data set or bag, or its path; with ``idle_s`` a folder of cloud files that fills; or an iterable of
+            frames or clouds, such as a generator that waits for a sensor.
         rate_hz: Take sweeps at this rate, as a sensor gives them; as they come unless given.
         drop: ``"oldest"``, ``"newest"`` or ``"none"``: which sweep is dropped where ``waiting`` others wait; unless
             given none, but with ``rate_hz`` the oldest.
         waiting: Sweeps that may wait to be prepared.
         cloud: Which of a frame's clouds to read.
-        idle_s: A folder that fills ends when no file came for so long; unless given, never.
-        options: Of the data set's format, as :func:`farfield.datasets.open_dataset` takes them.
+        idle_s: Read the path as a folder that fills, until no file came for so long.
 
     Returns:
         An iterable of boxes, with ``report``, ``sweep`` and ``latency_ms``.
@@ -259,13 +257,11 @@ def stream(
     if rule not in ("oldest", "newest", "none") or waiting < 1:
         raise ConfigError(f"expected drop oldest, newest or none and waiting 1 or more; got {drop!r} and {waiting}.")
     described = as_detector(detector)
-    sweeps = _sweeps_of(described, source, idle_s, options or {})
+    sweeps = _sweeps_of(described, source, idle_s)
     return SweepStream(described, sweeps, rate_hz=rate_hz, drop=rule, waiting=waiting, cloud=cloud)
 
 
-def _sweeps_of(
-    detector: DescribedDetector, source: Any, idle_s: float | None, options: Mapping[str, Any]
-) -> Iterable[tuple[str, Frame | Cloud]]:
+def _sweeps_of(detector: DescribedDetector, source: Any, idle_s: float | None) -> Iterable[tuple[str, Frame | Cloud]]:
     if isinstance(source, Path | str):
         from farfield.datasets import open_dataset
 
@@ -274,7 +270,7 @@ def _sweeps_of(
             raise DatasetError(f"{path}: expected a data set, a bag or a folder that fills, found nothing.")
         if path.is_dir() and idle_s is not None:
             return _filling(path, idle_s)
-        source = open_dataset(path, **options)
+        source = open_dataset(path)
     if isinstance(source, Dataset):
         return _frames_of(as_trained(source, detector.info))
     if not isinstance(source, Iterable):

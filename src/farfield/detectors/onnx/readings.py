@@ -280,7 +280,7 @@ class VoxelNetReading(VoxelReading):
     margin: int = Field(ge=1, le=64)
 
     def inputs(self, points: Float32[np.ndarray, "n c"]) -> dict[str, np.ndarray]:
-        """``points``, ``voxel`` of each, each voxel's ``first``, tables and ``ground_N`` of each level, and ``cell``."""
+        """``points``, ``voxel`` of each, each voxel's ``first``; tables, ``ground_N`` of each level; ``cell``."""
         points, key = self.located(points)
         order = np.argsort(_hash(points), kind="stable")
         order = order[np.argsort(key[order], kind="stable")]
