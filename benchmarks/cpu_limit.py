@@ -1,13 +1,14 @@
 """The CPU's limit: from points to boxes by stage and runtime, on one machine in one run, beside each detector's floor.
 
 ``runtimes`` times torch in bf16 and fp32 and onnxruntime with one thread and with two; ``floors`` states the
-multiplications of a frame and the bytes of weights and maps, and what this machine needs for them at its measured rates.
+multiplications of a frame and the bytes of weights and maps, and the time for them at this machine's measured rates.
 """
 
 import os
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -151,11 +152,8 @@ def floors(arguments: Sequence[str]) -> int:
     for weights in options.detectors:
         detector = ff.load_detector(weights, device="cpu", precision="fp32")
         moved = [sum(value.nbytes for value in detector.network.state_dict().values())]
-        hooks = [
-            module.register_forward_hook(lambda _, __, out: moved.append(2 * out.nbytes if torch.is_tensor(out) else 0))
-            for module in detector.network.modules()
-            if not list(module.children())
-        ]
+        leaves = [module for module in detector.network.modules() if not list(module.children())]
+        hooks = [module.register_forward_hook(partial(_note_bytes, moved)) for module in leaves]
         with FlopCounterMode(display=False) as counter:
             detector(cloud)
         for hook in hooks:
@@ -165,6 +163,12 @@ def floors(arguments: Sequence[str]) -> int:
         text = ", ".join(f"{name} at least {ms:.0f} ms" for name, ms in least.items())
         print(f"{weights:<26} {work / 1e9:6.1f} GFLOP, {data / 1e6:6.0f} MB: {text}")
     return 0
+
+
+def _note_bytes(moved: list[int], module: Any, inputs: Any, out: Any) -> None:
+    """Note the bytes of a layer's map, written once and read once."""
+    del module, inputs
+    moved.append(2 * int(getattr(out, "nbytes", 0)))
 
 
 def _flops(size: int, dtype: Any) -> float:
