@@ -59,9 +59,8 @@ def _one(name: str, detector: object, rate_hz: float, sweeps: int, points: int) 
             memory_mb.append(process.memory_info().rss / 1e6)
     warm = memory_mb[len(memory_mb) // 4 :]
     growth_mb = warm[-1] - warm[0] if warm else 0.0
-    print(
-        f"{name:<12} {rate_hz:4g} Hz: {stream.report}; memory {memory_mb[-1]:.0f} MB, {growth_mb:+.0f} MB since a quarter"
-    )
+    memory = f"memory {memory_mb[-1]:.0f} MB, {growth_mb:+.0f} MB since a quarter"
+    print(f"{name:<12} {rate_hz:4g} Hz: {stream.report}; {memory}")
     print(f"{'':<12} said: {next((str(warning.message) for warning in told), 'nothing, since none was dropped')}")
     unsaid = stream.report.dropped > 0 and not told
     return int(unsaid or growth_mb > GROWTH_MB)

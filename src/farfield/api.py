@@ -187,8 +187,8 @@ def stream(
         idle_s: Read the path as a folder that fills, until no file came for so long.
 
     Returns:
-        An iterable of boxes; its ``sweep`` and ``latency_ms`` are those of the last ones, its ``report`` has counts, p50
-        and p99.
+        An iterable of boxes; its ``sweep`` and ``latency_ms`` are those of the last ones, its ``report`` has counts,
+        p50 and p99.
 
     Raises:
         ConfigError: If a choice is not possible.

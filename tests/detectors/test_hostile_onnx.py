@@ -65,7 +65,7 @@ def test_a_damaged_file_is_refused_by_name(tmp_path: Path, damage: str) -> None:
     data, words = DAMAGED[damage]
     path = tmp_path / "net.onnx"
     path.write_bytes(data)
-    with pytest.raises(FileFormatError, match=f"(?s)net.onnx.*({words})"):
+    with pytest.raises(FileFormatError, match=rf"(?s)net\.onnx.*({words})"):
         OnnxDetector(path)
 
 
@@ -80,7 +80,7 @@ def test_a_file_beyond_the_limit_is_not_read(tmp_path: Path, monkeypatch: pytest
     path = tmp_path / "net.onnx"
     path.write_bytes(model())
     monkeypatch.setattr(onnx_detector, "MAX_BYTES", 100)
-    with pytest.raises(FarfieldError, match="net.onnx"):
+    with pytest.raises(FarfieldError, match=r"net\.onnx"):
         OnnxDetector(path)
 
 
