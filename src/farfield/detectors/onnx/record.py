@@ -16,6 +16,7 @@ from farfield.detectors.onnx.readings import (
 )
 from farfield.detectors.onnx.sparse_centre import SparseCentreReading
 from farfield.detectors.onnx.wire import OnnxContent
+from farfield.detectors.provenance import provenance_of
 from farfield.detectors.score_bands import ScoreBands
 from farfield.errors import FileFormatError, plain
 from farfield.files.json_text import plain_json
@@ -112,15 +113,13 @@ def record_of(path: Path, content: OnnxContent) -> tuple[OnnxRecord, dict[str, A
             path, where="metadata", expected="a short record", got=f"{len(text):,} characters", fix=fix
         )
     try:
-        record, provenance = OnnxRecord.model_validate(plain_json(text)), plain_json(history)
-        if not isinstance(provenance, dict):
-            raise TypeError("a provenance that is no record")
+        record = OnnxRecord.model_validate(plain_json(text))
     except (ValidationError, ValueError, TypeError, RecursionError) as error:
         raise FileFormatError(
             path, where="metadata", expected="a record of an export", got=plain(error)[:300], fix=fix
         ) from error
     _check_inputs(path, record.reading, content)
-    return record, provenance
+    return record, provenance_of(path, history)
 
 
 def _check_inputs(path: Path, reading: Reading, content: OnnxContent) -> None:
