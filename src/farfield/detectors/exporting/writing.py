@@ -44,7 +44,7 @@ OPSET = 20
 
 
 @dataclass(frozen=True)
-class Export:
+class ExportedFile:
     """What was written.
 
     Args:
@@ -62,7 +62,9 @@ class Export:
     size: int
 
 
-def export(detector: Detector, path: Path, *, licence: str = "", clouds: Mapping[str, Cloud] | None = None) -> Export:
+def export(
+    detector: Detector, path: Path, *, licence: str = "", clouds: Mapping[str, Cloud] | None = None
+) -> ExportedFile:
     """Write a detector as an ONNX file with its card; nothing is left where file and network do not agree.
 
     Args:
@@ -106,7 +108,7 @@ def export(detector: Detector, path: Path, *, licence: str = "", clouds: Mapping
     write_bytes(path, data)
     card = path.with_suffix(".md")
     write_text(card, card_text(record, detector.provenance, parity, size=len(data), seconds=seconds))
-    return Export(path, card, parity, seconds, len(data))
+    return ExportedFile(path, card, parity, seconds, len(data))
 
 
 def _check_packages() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from farfield.detectors.onnx.readings import Candidates, Tensors
+from farfield.detectors.onnx.readings import DecodedBoxes, Tensors
 from farfield.detectors.onnx.record import record_of
 from farfield.detectors.onnx.wire import MAX_BYTES, TensorSpec, read_content
 from farfield.detectors.suppression import rotated_nms
@@ -188,7 +188,7 @@ class OnnxDetector(TrainedDetector):
         """What the network reads of a frame, before it is prepared: rows of its columns."""
         return cloud_rows(self._clouds(frame)["points"], self.record.reading.columns)
 
-    def candidates(self, points: np.ndarray) -> Candidates:
+    def candidates(self, points: np.ndarray) -> DecodedBoxes:
         """Decoded boxes before the suppression."""
         return self.record.reading.detect(points, self.run)
 
@@ -206,7 +206,7 @@ class OnnxDetector(TrainedDetector):
             raise FarfieldError(f"{self.path}: the network does not run: {plain(error)[:300]}") from error
         return dict(zip(results, outputs, strict=True))
 
-    def finished(self, points: np.ndarray, candidates: Candidates) -> Boxes:
+    def finished(self, points: np.ndarray, candidates: DecodedBoxes) -> Boxes:
         """Scored boxes, best first: those above the threshold, after suppression, calibrated, of the chosen classes.
 
         Args:

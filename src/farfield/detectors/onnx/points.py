@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from farfield.detectors.onnx.cells import in_float32
-from farfield.detectors.onnx.readings import Candidates, Reading, Run, Tensors, described
+from farfield.detectors.onnx.readings import DecodedBoxes, Reading, Run, Tensors, described
 from farfield.detectors.suppression import rotated_nms
 from farfield.files.yaml_text import PlainSettings
 from farfield.geometry.boxes import Boxes
@@ -258,9 +258,9 @@ class PointReading(Reading):
         second = self.refined(first, {name: values.astype(np.float32) for name, values in numbers.items()})
         return described({**first, **second}, open_sides=("semantic", "extra"))
 
-    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> Candidates:
+    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> DecodedBoxes:
         """Ask for proposals, choose among them, ask for boxes; none where there are no points or no proposals."""
-        none = Candidates(np.zeros((0, 7)), np.zeros(0), np.zeros(0, dtype=np.int64))
+        none = DecodedBoxes(np.zeros((0, 7)), np.zeros(0), np.zeros(0, dtype=np.int64))
         first = self.inputs(points) if first is None else first
         if not len(first["xyz"]):
             return none
@@ -269,11 +269,11 @@ class PointReading(Reading):
             return none
         return self.candidates_of(run(second))
 
-    def candidates_of(self, outputs: Tensors) -> Candidates:
+    def candidates_of(self, outputs: Tensors) -> DecodedBoxes:
         """The refined boxes, each of its best class."""
         scores = outputs["confidence"].astype(np.float64)
         order = np.argsort(-scores.max(1), kind="stable")
-        return Candidates(outputs["boxes"][order].astype(np.float64), scores.max(1)[order], scores.argmax(1)[order])
+        return DecodedBoxes(outputs["boxes"][order].astype(np.float64), scores.max(1)[order], scores.argmax(1)[order])
 
     def refined(self, first: Tensors, outputs: Tensors) -> dict[str, np.ndarray]:
         """What the second stage reads: the points of each proposal in its frame, and their neighbourhoods."""

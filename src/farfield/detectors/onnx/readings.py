@@ -38,7 +38,7 @@ Size = Annotated[int, Field(ge=1, le=16)]
 Padding = Annotated[int, Field(ge=0, le=16)]
 
 
-class Candidates(NamedTuple):
+class DecodedBoxes(NamedTuple):
     """Decoded boxes before the suppression.
 
     Attributes:
@@ -68,7 +68,7 @@ class Reading(PlainSettings, ABC):
     results: ClassVar[tuple[str, ...]] = ("boxes", "scores", "labels")
     """Outputs of the network that are looked at."""
 
-    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> Candidates:
+    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> DecodedBoxes:
         """The decoded boxes of one frame.
 
         Args:
@@ -98,9 +98,9 @@ def described(tensors: Tensors, open_sides: Collection[str] = ()) -> dict[str, t
     return {name: (types[name], sides[name]) for name in tensors}
 
 
-def candidates_of(outputs: Tensors) -> Candidates:
+def candidates_of(outputs: Tensors) -> DecodedBoxes:
     """What the outputs ``boxes``, ``scores`` and ``labels`` say."""
-    return Candidates(outputs["boxes"].astype(np.float64), outputs["scores"].astype(np.float64), outputs["labels"])
+    return DecodedBoxes(outputs["boxes"].astype(np.float64), outputs["scores"].astype(np.float64), outputs["labels"])
 
 
 class PillarReading(Reading):

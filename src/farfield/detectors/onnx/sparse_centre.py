@@ -10,7 +10,7 @@ from pydantic import Field
 from farfield.detectors.onnx.cells import Triple, in_float32, means_by_group, neighbour_table, rows_among, split_keys
 from farfield.detectors.onnx.cells import strided_table as strided
 from farfield.detectors.onnx.readings import (
-    Candidates,
+    DecodedBoxes,
     Positions,
     Run,
     SparseLevel,
@@ -77,18 +77,18 @@ class SparseCentreReading(VoxelReading):
         votes = {"votes": np.zeros((0, 3), dtype=np.float32), "map_out": np.zeros((0, 1), dtype=np.float32)}
         return described({**self.inputs(none), **self.grown(none, votes)}, open_sides=("map",))
 
-    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> Candidates:
+    def detect(self, points: Float32[np.ndarray, "n c"], run: Run, first: Tensors | None = None) -> DecodedBoxes:
         """Ask for votes, grow the map, ask for boxes."""
         votes = run(self.inputs(points) if first is None else first)
         return self.candidates_of(run(self.grown(points, votes)))
 
-    def candidates_of(self, outputs: Tensors) -> Candidates:
+    def candidates_of(self, outputs: Tensors) -> DecodedBoxes:
         """The best peaks, best first."""
         heat = outputs["heat"].astype(np.float64)
         row, kind = np.nonzero(~(heat <= 0))  # NaN stays
         best = np.argsort(-heat[row, kind], kind="stable")[: self.candidates]
         row, kind = row[best], kind[best]
-        return Candidates(outputs["boxes"][row].astype(np.float64), heat[row, kind], kind)
+        return DecodedBoxes(outputs["boxes"][row].astype(np.float64), heat[row, kind], kind)
 
     def grown(self, points: Float32[np.ndarray, "n c"], outputs: Tensors) -> dict[str, np.ndarray]:
         """What the second half reads: the map with the cells that votes add, and the reference height of each."""
