@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from farfield.calibration.lidar_lidar import Registration
     from farfield.calibration.solving import CalibrationKind
     from farfield.datasets.base import Dataset
-    from farfield.detectors.exporting.writing import ExportedFile
+    from farfield.detectors.exporting.writing import OnnxExport
     from farfield.detectors.info import DescribedDetector, DetectorFunction
     from farfield.detectors.network import Network
     from farfield.detectors.onnx.detector import OnnxDetector
@@ -110,7 +110,7 @@ def load_detector(
 
 def export(
     detector: "Detector | Path | str", out: Path | str, *, licence: str = "", score_threshold: float | None = None
-) -> "ExportedFile":
+) -> "OnnxExport":
     """Write a trained detector as an ONNX file that runs without torch: what ``farfield export`` does.
 
     The file is compared with the network on five clouds before it is written; beside it stands a card, ``OUT.md``.

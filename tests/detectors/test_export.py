@@ -35,11 +35,11 @@ def loaded(trained: Trained, name: str) -> Detector:
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Detector], writing.ExportedFile]:
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Detector], writing.OnnxExport]:
     """Exports a detector, each once."""
     folder, done = tmp_path_factory.mktemp("exported"), {}
 
-    def export(detector: Detector) -> writing.ExportedFile:
+    def export(detector: Detector) -> writing.OnnxExport:
         if detector.name not in done:
             done[detector.name] = ff.export(detector, folder / f"{detector.name}.onnx", licence="CC0")
         return done[detector.name]
@@ -49,7 +49,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Detector], w
 
 @pytest.mark.parametrize("name", SMALL)
 def test_file_and_network_agree_on_five_clouds(
-    trained: Trained, exported: Callable[[Detector], writing.ExportedFile], scene: Frame, name: str
+    trained: Trained, exported: Callable[[Detector], writing.OnnxExport], scene: Frame, name: str
 ) -> None:
     detector = loaded(trained, name)
     done = exported(detector)
@@ -64,7 +64,7 @@ def test_file_and_network_agree_on_five_clouds(
 
 
 def test_an_exported_detector_is_one_like_any_other(
-    trained: Trained, exported: Callable[[Detector], writing.ExportedFile], scene: Frame
+    trained: Trained, exported: Callable[[Detector], writing.OnnxExport], scene: Frame
 ) -> None:
     detector = loaded(trained, "pointpillars")
     other = ff.load_detector(exported(detector).path, score_threshold=0.4, classes={"vehicle": "car"})
@@ -106,7 +106,7 @@ raise SystemExit(status)
 
 
 def test_verbs_run_it_without_torch(
-    trained: Trained, exported: Callable[[Detector], writing.ExportedFile], scene: Frame, tmp_path: Path
+    trained: Trained, exported: Callable[[Detector], writing.OnnxExport], scene: Frame, tmp_path: Path
 ) -> None:
     path = exported(loaded(trained, "pointpillars")).path
     cloud = scene.cloud()
@@ -119,7 +119,7 @@ def test_verbs_run_it_without_torch(
 
 
 def test_the_example_gives_the_boxes_of_the_library(
-    trained: Trained, exported: Callable[[Detector], writing.ExportedFile], scene: Frame, tmp_path: Path
+    trained: Trained, exported: Callable[[Detector], writing.OnnxExport], scene: Frame, tmp_path: Path
 ) -> None:
     example = Path(__file__).resolve().parents[2] / "examples" / "deploy" / "detect.py"
     path, cloud = exported(loaded(trained, "pointpillars")).path, scene.cloud()
@@ -141,7 +141,7 @@ def test_the_example_gives_the_boxes_of_the_library(
 
 
 def test_metadata_hold_what_a_deployer_needs(
-    trained: Trained, exported: Callable[[Detector], writing.ExportedFile]
+    trained: Trained, exported: Callable[[Detector], writing.OnnxExport]
 ) -> None:
     session = onnxruntime.InferenceSession(str(exported(loaded(trained, "pointpillars")).path))
     record = json.loads(session.get_modelmeta().custom_metadata_map["farfield"])

@@ -44,7 +44,7 @@ OPSET = 20
 
 
 @dataclass(frozen=True)
-class ExportedFile:
+class OnnxExport:
     """What was written.
 
     Args:
@@ -64,7 +64,7 @@ class ExportedFile:
 
 def export(
     detector: Detector, path: Path, *, licence: str = "", clouds: Mapping[str, Cloud] | None = None
-) -> ExportedFile:
+) -> OnnxExport:
     """Write a detector as an ONNX file with its card; nothing is left where file and network do not agree.
 
     Args:
@@ -108,7 +108,7 @@ def export(
     write_bytes(path, data)
     card = path.with_suffix(".md")
     write_text(card, card_text(record, detector.provenance, parity, size=len(data), seconds=seconds))
-    return ExportedFile(path, card, parity, seconds, len(data))
+    return OnnxExport(path, card, parity, seconds, len(data))
 
 
 def _check_packages() -> None:
@@ -187,9 +187,10 @@ def _onnx(graph: Graph, sample: dict[str, torch.Tensor]) -> bytes:
     with _quiet(), torch.no_grad():
         program = torch.onnx.export(
             graph,
-            (sample,),
+            (),
+            kwargs={"inputs": sample},  # a dict at the end of the arguments would be taken for them
             dynamo=True,
-            dynamic_shapes=(dynamic,),
+            dynamic_shapes={"inputs": dynamic},
             input_names=list(sample),
             output_names=list(graph.outputs),
             opset_version=OPSET,
