@@ -19,9 +19,12 @@ if TYPE_CHECKING:
     from farfield.calibration.lidar_lidar import Registration
     from farfield.calibration.solving import CalibrationKind
     from farfield.datasets.base import Dataset
+    from farfield.detectors.exporting.writing import OnnxExport
     from farfield.detectors.info import DescribedDetector, DetectorFunction
     from farfield.detectors.network import Network
+    from farfield.detectors.onnx.detector import OnnxDetector
     from farfield.detectors.runtime import Detector
+    from farfield.evaluation.streaming import DropRule, SweepStream
     from farfield.experiments.adapting import AdaptationResult
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
@@ -64,8 +67,10 @@ def load_detector(
     nms_iou: float | None = None,
     max_boxes: int | None = None,
     classes: "Iterable[str] | Mapping[str, str] | None" = None,
-) -> "Detector":
-    """Load a detector: a bundled name such as ``"pointpillars-cirrus-sim"``, a run's folder, or a weights file.
+) -> "Detector | OnnxDetector":
+    """Load a detector: a bundled name such as ``"pointpillars-cirrus-sim"``, a run's folder, a weights file.
+
+    Or one that :func:`export` wrote, ``.onnx``, which needs no torch.
 
     Args:
         name: Which one.
@@ -82,21 +87,55 @@ def load_detector(
     Raises:
         FarfieldError: If there is nothing of this name.
         ConfigError: If a limit is not possible, or the detector does not know a class.
-        MissingExtraError: If torch is not installed.
+        MissingExtraError: If torch, or for an exported detector onnxruntime, is not installed.
     """
+    options: dict[str, Any] = {
+        "device": device,
+        "precision": precision,
+        "cloud": cloud,
+        "score_threshold": score_threshold,
+        "nms_iou": nms_iou,
+        "max_boxes": max_boxes,
+        "classes": classes,
+    }
+    if Path(name).suffix.lower() == ".onnx":
+        from farfield.detectors.onnx.detector import OnnxDetector
+
+        return OnnxDetector(name, **options)
     _require_torch()
     from farfield.detectors.runtime import Detector
 
-    return Detector.load(
-        name,
-        device=device,
-        precision=precision,
-        cloud=cloud,
-        score_threshold=score_threshold,
-        nms_iou=nms_iou,
-        max_boxes=max_boxes,
-        classes=classes,
-    )
+    return Detector.load(name, **options)
+
+
+def export(
+    detector: "Detector | Path | str", out: Path | str, *, licence: str = "", score_threshold: float | None = None
+) -> "OnnxExport":
+    """Write a trained detector as an ONNX file that runs without torch: what ``farfield export`` does.
+
+    The file is compared with the network on five clouds before it is written; beside it stands a card, ``OUT.md``.
+
+    Args:
+        detector: A bundled detector's name, a run's folder, a weights file, or a loaded detector (fp32, on the CPU).
+        out: The file, ``.onnx``; :func:`load_detector` takes it.
+        licence: Under which the weights may be used, for the card.
+        score_threshold: The file's own threshold; that of the weights unless given.
+
+    Returns:
+        What was written, with the parity of each cloud.
+
+    Raises:
+        FarfieldError: If there are no such weights, or file and network do not agree; nothing is left then.
+        ConfigError: If the detector is of a kind that is not exported.
+        MissingExtraError: If torch, onnx, onnxscript or onnxruntime is not installed.
+    """
+    _require_torch()
+    from farfield.detectors.exporting.writing import export as write
+    from farfield.detectors.runtime import Detector
+
+    if not isinstance(detector, Detector):
+        detector = Detector.load(detector, device="cpu", precision="fp32", score_threshold=score_threshold)
+    return write(detector, Path(out), licence=licence)
 
 
 def detect(
@@ -125,6 +164,45 @@ def detect(
 
     data = dataset_of(data)
     return _doubted(detect_all(_detector_of(detector), data, cloud=cloud, progress=progress), data, cloud)
+
+
+def stream(
+    detector: "DescribedDetector | DetectorFunction",
+    source: "Dataset | Path | str | Iterable[Frame | Cloud]",
+    *,
+    rate_hz: float | None = None,
+    drop: "DropRule | None" = None,
+    waiting: int = 1,
+    cloud: str | None = None,
+    idle_s: float | None = None,
+) -> "SweepStream":
+    """Detect in sweeps as they come: ``for boxes in ff.stream(detector, source)``.
+
+    The next sweep is read and, for an exported detector, voxelised while the network works on this one. What is dropped
+    because sweeps come faster than boxes is counted, and a warning at the end says it.
+
+    Args:
+        detector: A detector, or any function from a frame to scored boxes.
+        source: A data set or bag, or its path; with ``idle_s`` a folder of clouds that fills; or frames or clouds one
+            after the other, such as a generator that waits for a sensor.
+        rate_hz: Take sweeps at this rate, as a sensor gives them; as they come unless given.
+        drop: Which sweep is dropped where ``waiting`` others wait: ``"oldest"``, ``"newest"`` or ``"none"``; unless
+            given none, but with ``rate_hz`` the oldest.
+        waiting: Sweeps that may wait.
+        cloud: Which of a frame's clouds to read.
+        idle_s: Read the path as a folder that fills, until no file came for so long.
+
+    Returns:
+        An iterable of boxes; its ``sweep`` and ``latency_ms`` are those of the last ones, its ``report`` has counts,
+        p50 and p99.
+
+    Raises:
+        ConfigError: If a choice is not possible.
+        DatasetError: If there is no such source.
+    """
+    from farfield.evaluation.streaming import stream as stream_sweeps
+
+    return stream_sweeps(detector, source, rate_hz=rate_hz, drop=drop, waiting=waiting, cloud=cloud, idle_s=idle_s)
 
 
 def _detector_of(detector: Any) -> Any:

@@ -32,6 +32,7 @@ WORDS = {
     "adapt": "adapt pointpillars-cirrus-sim DATA --out OUT",
     "reproduce": "reproduce cirrus --out OUT",
     "import-weights": "import-weights DATA/0.npy OUT/a.safetensors",
+    "export": "export pointpillars-cirrus-sim OUT/a.onnx",
     "predict": "predict pointpillars-cirrus-sim DATA --out OUT/boxes.csv",
     "evaluate": "evaluate pointpillars-cirrus-sim DATA --out OUT",
     "track": "track DATA/labels.csv --out OUT/tracks.csv",

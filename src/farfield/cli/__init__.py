@@ -47,6 +47,7 @@ GROUPS = {
         "adapt": "adapt a detector to your own unlabelled sweeps; resumes by itself",
         "reproduce": "put a paper's tables to the test: a grid of trainings, decisions, one page",
         "import-weights": "turn an OpenPCDet checkpoint into a weights file",
+        "export": "write a trained detector as an ONNX file that runs without torch",
     },
     "detect and score": {
         "predict": "detect objects in clouds or a data set and write the boxes",

@@ -74,7 +74,7 @@ def run(
     anew. What the clock measured stands in timing.json, apart from what was computed.
 
     Args:
-        detector: A bundled detector's name, a run's folder, or a weights file.
+        detector: A bundled detector's name, a run's folder, a weights file, or an exported .onnx file.
         data: The data set; its format is recognised.
         clouds: Which clouds, comma-separated; by default those that suit the detector.
         split: train, val or test, or time-val and its like to cut each sequence in time; all frames unless given.

@@ -68,7 +68,7 @@ def run(
     Interrupted with --out, the same command goes on where it stopped.
 
     Args:
-        detector: A bundled detector's name, a run's folder, or a weights file.
+        detector: A bundled detector's name, a run's folder, a weights file, or an exported .onnx file.
         files: Clouds (.pcd, .ply, .bin, .npy, .npz, .xyz, .las, .laz, .ffcloud), or one data set's folder.
         out: Where to write: a file ending in .csv, nuScenes' .json, Argoverse 2's .feather, Waymo's .bin, or a folder
             with --to kitti, kradar, openpcdet or mmdetection3d; CSV is printed unless given.

@@ -43,7 +43,7 @@ def run(
             the radar's points.
         camera: Draw the picture of this camera instead, with the boxes projected into it, and the boxes that were
             annotated in it dotted.
-        detector: A bundled detector's name, a run's folder, or a weights file, whose boxes are drawn too.
+        detector: A bundled detector's name, a run's folder, a weights file or an .onnx file, whose boxes are drawn too.
         cloud: Which cloud; the first, or the first that suits the detector, unless given.
         boxes: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
         reading: How the files are read.

@@ -44,7 +44,7 @@ def run(
 
     Args:
         data: Folder of a data set or of clouds; its format is recognised.
-        detector: Bundled names, runs' folders or weights files, comma-separated: they run on the frames that are shown.
+        detector: Bundled names, runs' folders, weights or .onnx files, comma-separated: they run on the frames shown.
         predictions: Files of detections or tracks to show; sequence and frame pair them with the data.
         format: Format of the predictions.
         protocol: By which predictions are matched with the truth; the data set's own unless given.
