@@ -6,7 +6,6 @@ python tools/flags.py --write    write it
 
 import sys
 from pathlib import Path
-from typing import Any
 
 from farfield.cli import VERBS
 from farfield.cli._completion import arguments_of

@@ -18,7 +18,7 @@ HEAD = """# Formats
 
 Printed by `tools/formats.py` from what the code registers; `farfield formats` prints the same, `farfield formats NAME`
 all that is known of one, and `farfield formats velodyne` (any sensor, suffix, data set or tool) what is read of it. A
-folder's format is recognised from what it holds; `--format NAME` overrules it. Options of a reader that have no flag are
+folder's format is recognised from what it holds; `--format NAME` overrules it. Options of a reader without a flag are
 given as `--reader NAME=VALUE`, such as `--reader whole_scenes=true`.
 
 **No real file seen** means that the reader follows the format's description, and that the files in its tests were

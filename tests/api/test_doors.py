@@ -95,7 +95,7 @@ def test_wrong_types_say_what_to_give(points: np.ndarray, tmp_path: Path) -> Non
         ff.detect(one_car, 3)
     with pytest.raises(ConfigError, match="expected a detector, a bundled one's name"):
         ff.detect(3, points)  # type: ignore[arg-type]
-    with pytest.raises(DatasetError, match="nowhere.pcd"):
+    with pytest.raises(DatasetError, match=r"nowhere\.pcd"):
         ff.detect(one_car, [tmp_path / "nowhere.pcd"])
     with pytest.raises(ConfigError, match="expected a Frame, a Cloud"):
         frame_of(SimpleNamespace())

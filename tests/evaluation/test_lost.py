@@ -66,7 +66,7 @@ def test_a_damaged_file_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / LOST).write_text(text)
     with pytest.raises(FileFormatError):
         read_lost(tmp_path)
-    with pytest.raises(ConfigError, match="lost.json"):
+    with pytest.raises(ConfigError, match=r"lost\.json"):
         read_lost(tmp_path / "nowhere")
 
 

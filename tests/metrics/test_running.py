@@ -14,7 +14,8 @@ from farfield.metrics import PROTOCOLS, score
 from farfield.metrics.running import RunningMetric, running_metric
 from farfield.testing.protocols import example
 
-NAMES = tuple(name for name in PROTOCOLS.builtin if name != "kradar-compat") + (
+NAMES = (
+    *(name for name in PROTOCOLS.builtin if name != "kradar-compat"),
     "kradar-compat:old_as_shipped@0.3",
     "kradar-compat:revised_yaw_fixed",
 )
@@ -107,9 +108,13 @@ def test_an_unknown_setting_is_refused_at_once_and_replicates_is_the_flag() -> N
     with pytest.raises(ConfigError, match="range_bin"):
         ff.metrics.DDS(range_bin=(0, 70))
     with pytest.raises(ConfigError, match="got both"):
-        metric = ff.metrics.DDS(replicates=0, bootstrap=ff.metrics.Bootstrap())
-        metric.update(np.array([[*ROW, 0.9]]), np.array([ROW]))
-        metric.compute()
+        _scored_with_both()
+
+
+def _scored_with_both() -> None:
+    metric = ff.metrics.DDS(replicates=0, bootstrap=ff.metrics.Bootstrap())
+    metric.update(np.array([[*ROW, 0.9]]), np.array([ROW]))
+    metric.compute()
 
 
 TWO = """

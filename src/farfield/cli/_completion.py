@@ -1,4 +1,4 @@
-"""Completion for shells: verbs, flags, the words that a flag takes, names of detectors and the like; files elsewhere."""
+"""Completion for shells: verbs, flags, the words that a flag takes, names of detectors; files elsewhere."""
 
 import re
 import warnings

@@ -15,10 +15,10 @@ import numpy as np
 from farfield.errors import ConfigError, FileFormatError
 from farfield.evaluation.report_data import of_classes
 from farfield.files.json_text import read_json
-from farfield.geometry.boxes import Boxes
-from farfield.metrics.frames import in_region
 from farfield.frame.where import Where, columns_of_boxes
+from farfield.geometry.boxes import Boxes
 from farfield.metrics.detections import Detections
+from farfield.metrics.frames import in_region
 from farfield.metrics.presenting import HitRule
 
 LOST = "lost.json"

@@ -226,9 +226,8 @@ def _constant(node: ast.expr) -> str | float:
         return -value
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
-    if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
-        if abs(node.value) <= 1e18:
-            return float(node.value)
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float) and abs(node.value) <= 1e18:
+        return float(node.value)
     raise ConfigError(f"--where: expected a column, a number or a text in quotes, got {ast.unparse(node)[:80]!r}")
 
 
@@ -245,7 +244,7 @@ def _holds(node: ast.expr, columns: Columns, count: int) -> Bool[np.ndarray, " n
         return reduce(join, (_holds(value, columns, count) for value in node.values))
     if isinstance(node, ast.UnaryOp):
         return ~_holds(node.operand, columns, count)
-    assert isinstance(node, ast.Compare)  # noqa: S101 - as _check leaves it
+    assert isinstance(node, ast.Compare)
     sides = [node.left, *node.comparators]
     pairs = zip(sides, node.ops, sides[1:], strict=False)
     return reduce(np.logical_and, (_compared(left, op, right, columns, count) for left, op, right in pairs))
@@ -255,7 +254,7 @@ def _compared(
     left: ast.expr, operation: ast.cmpop, right: ast.expr, columns: Columns, count: int
 ) -> Bool[np.ndarray, " n"]:
     if isinstance(operation, ast.In | ast.NotIn):
-        assert isinstance(right, ast.Tuple | ast.List | ast.Set)  # noqa: S101 - as _check leaves it
+        assert isinstance(right, ast.Tuple | ast.List | ast.Set)
         equal = [_compared(left, ast.Eq(), item, columns, count) for item in right.elts]
         inside = reduce(np.logical_or, equal, np.zeros(count, dtype=bool))
         return ~inside & _is_known(left, columns, count) if isinstance(operation, ast.NotIn) else inside

@@ -14,7 +14,6 @@ from farfield.metrics.presenting import Presenter
 from farfield.metrics.result import Result
 
 if TYPE_CHECKING:
-    from farfield.metrics.running import RunningMetric, running_metric
     from farfield.metrics.argoverse2.evaluation import Argoverse2Result, evaluate_argoverse2
     from farfield.metrics.argoverse2.settings import Argoverse2Settings
     from farfield.metrics.centre.dds import DdsResult, DdsSettings, evaluate_dds
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from farfield.metrics.kitti.evaluation import KittiResult, KittiSettings, evaluate_kitti
     from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar
     from farfield.metrics.kradar.settings import KRadarSettings, kradar_settings
+    from farfield.metrics.running import RunningMetric, running_metric
     from farfield.metrics.tracking.nuscenes import NuScenesTrackingResult, NuScenesTrackingSettings
     from farfield.metrics.tracking.protocol import TrackingResult
     from farfield.metrics.tracking.scene import TrackingSettings

@@ -1,4 +1,4 @@
-"""The frames and objects on which an evaluation lost most: tables, and a gallery of crops where the data are at hand."""
+"""The frames and objects on which an evaluation lost most: tables, and a gallery of crops where data are at hand."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -57,7 +57,7 @@ def reasons_for_few(detections: Detections, tracks: Detections, settings: Tracke
         reasons.append(
             (
                 total // 4,
-                "no poses: on a moving car standing objects move from frame to frame (--data, --poses, --preset unposed)",
+                "no poses: from a moving car standing objects move in each frame (--data, --poses, --preset unposed)",
             )
         )
     if not reasons:
