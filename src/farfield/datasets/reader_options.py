@@ -48,7 +48,7 @@ def typed_options(reader: Callable[..., Any], options: Mapping[str, Any]) -> dic
     Raises:
         ConfigError: If a text is not of its option's type.
     """
-    hints = get_type_hints(reader.__init__) if isinstance(reader, type) else get_type_hints(reader)
+    hints = get_type_hints(reader.__init__ if isinstance(reader, type) else reader)  # type: ignore[misc]
     return {
         name: _typed(name, str(value), hints.get(name, float | bool | str)) if isinstance(value, OptionText) else value
         for name, value in options.items()

@@ -8,7 +8,7 @@ carry it as ``classes``, which the tool passes over, and their coordinates as ``
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,7 +119,10 @@ def _classes(path: Path | str, value: Any) -> tuple[str, ...]:
     if value is None:
         return ()
     names = value if isinstance(value, list) else [None]
-    if not all(is_name(name) and len(name) <= MAX_NAME for name in names) or len(names) > _MOST_CLASSES:
+    if (
+        not all(isinstance(name, str) and is_name(name) and len(name) <= MAX_NAME for name in names)
+        or len(names) > _MOST_CLASSES
+    ):
         raise FileFormatError(path, where="classes", expected="a list of names", got=repr(value)[:60])
     return tuple(names)
 
@@ -132,7 +135,7 @@ def _reference(path: Path | str, value: Any) -> str:
 
 def write_instances(path: Path | str, instances: InstanceBoxes) -> None:
     """Write the file of a frame."""
-    rows: Sequence[Any] = instances.box
+    rows = instances.box
     if instances.velocity_m_s is not None:
         rows = np.column_stack([instances.box, instances.velocity_m_s])
     tree: dict[str, Any] = {

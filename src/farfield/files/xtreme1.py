@@ -227,12 +227,12 @@ def format_cameras(
     """
     rows = [
         {
-            "cameraInternal": {"fx": m[0, 0], "fy": m[1, 1], "cx": m[0, 2], "cy": m[1, 2]},
+            "cameraInternal": {"fx": float(m[0, 0]), "fy": float(m[1, 1]), "cx": float(m[0, 2]), "cy": float(m[1, 2])},
             "width": width,
             "height": height,
             "cameraExternal": pose.ravel().tolist(),
             "rowMajor": True,
         }
-        for m, pose, width, height in ((np.asarray(matrix, float), *rest) for matrix, *rest in cameras)
+        for m, pose, width, height in cameras
     ]
     return json.dumps(rows, indent=1) + "\n"

@@ -50,7 +50,7 @@ def image_marks(frame: Frame) -> ImageMarks | None:
         camera=camera,
         box_px=box_px[drawn],
         row=np.flatnonzero(drawn),
-        label=tuple(str(name) for name in annotation.boxes.label[drawn]),
+        label=tuple(str(name) for name in np.asarray(annotation.boxes.label)[drawn]),
         ignored_px=ignored_px[_is_drawn(ignored_px)],
     )
 

@@ -7,10 +7,10 @@ a name that is no column is refused before any frame is read.
 
 import ast
 import operator
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -92,8 +92,11 @@ class Where:
             raise ConfigError(f"--where: expected a condition such as {_EXAMPLE}, got {self.text!r}") from None
         if sum(1 for _ in ast.walk(tree)) > _MOST_PARTS:
             raise ConfigError(f"--where: expected at most {_MOST_PARTS} parts, got more")
-        object.__setattr__(self, "_tree", tree)
         _check(tree)
+
+    @cached_property
+    def _tree(self) -> ast.expr:
+        return ast.parse(self.text.strip(), mode="eval").body
 
     @property
     def columns(self) -> set[str]:
@@ -226,8 +229,9 @@ def _constant(node: ast.expr) -> str | float:
         return -value
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float) and abs(node.value) <= 1e18:
-        return float(node.value)
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and abs(node.value) <= 1e18:
+        if not isinstance(node.value, bool):
+            return float(node.value)
     raise ConfigError(f"--where: expected a column, a number or a text in quotes, got {ast.unparse(node)[:80]!r}")
 
 
@@ -287,5 +291,5 @@ def _possible(node: ast.expr, columns: Columns) -> Bool[np.ndarray, " n"]:
     if isinstance(node, ast.BoolOp):
         join = np.logical_and if isinstance(node.op, ast.And) else np.logical_or
         return reduce(join, (_possible(value, columns) for value in node.values))
-    names: Collection[str] = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+    names = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
     return np.ones(1, dtype=bool) if not names <= set(FRAME_COLUMNS) else _holds(node, columns, 1)

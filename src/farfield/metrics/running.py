@@ -260,4 +260,4 @@ def _each(value: Any, count: int) -> Sequence[Any]:
 def _equal(one: Boxes, other: Boxes) -> bool:
     same = len(one) == len(other) and np.array_equal(one.to_numpy(), other.to_numpy())
     scores = [boxes.score if boxes.score is not None else np.zeros(len(boxes)) for boxes in (one, other)]
-    return same and np.array_equal(one.label, other.label) and np.array_equal(*scores)
+    return same and np.array_equal(one.label, other.label) and np.array_equal(scores[0], scores[1])

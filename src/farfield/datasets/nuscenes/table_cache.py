@@ -50,7 +50,8 @@ def cached_table(path: Path, fields: Mapping[str, TableField]) -> TableColumns:
         try:
             cache.parent.mkdir(parents=True, exist_ok=True)
             with open_atomic(cache) as handle:
-                np.savez(handle, **_packed(columns, key, fields))
+                arrays: dict[str, Any] = _packed(columns, key, fields)
+                np.savez(handle, **arrays)
         except (OSError, FarfieldError, ValueError):
             pass  # read again by the next command
     return columns

@@ -142,6 +142,7 @@ def three_nearest(
     if not len(queries) or not len(sources):
         return np.zeros((len(queries), 3), dtype=np.int64), np.zeros((len(queries), 3), dtype=np.float32)
     gap, row = cKDTree(sources).query(queries, k=[1, 2, 3])
+    gap = np.asarray(gap)
     row = np.where(np.isfinite(gap), row, 0)
     weight = 1 / (gap.astype(np.float32) + np.float32(1e-8))
     return row, in_float32(weight / np.maximum(weight.sum(1, keepdims=True), np.float32(1e-30)))
