@@ -26,6 +26,7 @@ from farfield.vocabulary.counts import count_of
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
     from farfield.detectors import Detector
+    from farfield.detectors.onnx.detector import OnnxDetector
 
 _DONORS = 200
 """Sweeps into which cars are pasted."""
@@ -197,7 +198,7 @@ class _Pasting:
     sensor: str
 
 
-def _pasting(detector: "Detector", opened: "Dataset", clouds: list[str], sensor: str) -> _Pasting:
+def _pasting(detector: "Detector | OnnxDetector", opened: "Dataset", clouds: list[str], sensor: str) -> _Pasting:
     """The sweeps and the cloud, checked before anything is detected."""
     from farfield.errors import ConfigError, DatasetError
     from farfield.evaluation import as_trained, suitable_clouds
@@ -222,7 +223,7 @@ def _pasting(detector: "Detector", opened: "Dataset", clouds: list[str], sensor:
     return _Pasting(data=data, cloud=cloud, sensor=sensor)
 
 
-def _false_vehicles(detector: "Detector", pasting: _Pasting, folder: Path) -> Path:
+def _false_vehicles(detector: "Detector | OnnxDetector", pasting: _Pasting, folder: Path) -> Path:
     from farfield.evaluation.pasted_cars import field_of, try_on_donors
     from farfield.pages.false_vehicles_page import headline, write_false_vehicles
     from farfield.simulation.overlay import LIDARS

@@ -274,7 +274,7 @@ class ResultWriter:
                 token = frame_id if plain else f"{sequence}/{frame_id}"
                 if names is not None:
                     fits = np.isin(boxes.label, [*names])
-                    for name in boxes.label[~fits].tolist():
+                    for name in np.asarray(boxes.label)[~fits].tolist():
                         left_out[str(name)] = left_out.get(str(name), 0) + 1
                     boxes = boxes[fits]
                     beyond += max(0, len(boxes) - _MOST_IN_A_SAMPLE)

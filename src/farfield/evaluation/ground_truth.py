@@ -142,7 +142,7 @@ def read_detections(
         own = {"argoverse2": Argoverse2, "waymo": Waymo}.get(format)
         if own is not None and isinstance(labels.unwrapped, own) and "classes" not in options:
             labels = open_dataset(folder, **options, classes=format)  # the submission's own categories
-    reading = {"format": format, "reference": reference, "axes": axes, "class_names": class_names}
+    reading: dict[str, Any] = {"format": format, "reference": reference, "axes": axes, "class_names": class_names}
     folder = results_folder(Path(predictions)) if format in ("openpcdet", "mmdetection3d") else Path(predictions)
     if format in ("kitti", "openpcdet") or (format == "mmdetection3d" and _in_camera_axes(folder)):
         return _in_cameras(folder, labels, reading)

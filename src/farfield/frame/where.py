@@ -229,9 +229,9 @@ def _constant(node: ast.expr) -> str | float:
         return -value
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
-    if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and abs(node.value) <= 1e18:
-        if not isinstance(node.value, bool):
-            return float(node.value)
+    number = node.value if isinstance(node, ast.Constant) else None
+    if isinstance(number, int | float) and not isinstance(number, bool) and abs(number) <= 1e18:
+        return float(number)
     raise ConfigError(f"--where: expected a column, a number or a text in quotes, got {ast.unparse(node)[:80]!r}")
 
 

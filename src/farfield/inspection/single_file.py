@@ -1,6 +1,7 @@
 """One file: what our readers would make of it, and which expectation of which reader fails."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,7 +50,8 @@ class FileReader(NamedTuple):
     hint: tuple[str, ...] = ()
 
 
-class _Product(NamedTuple):
+@dataclass(frozen=True)
+class _Product:
     """Reads a product of K-Radar's radar."""
 
     product: str

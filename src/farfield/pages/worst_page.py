@@ -21,7 +21,7 @@ _PICTURED = 12
 
 def frame_table(lost: Lost, top: int) -> Table:
     """The frames that lost most: a title, the heads, and rows with a link into the studio each."""
-    rows = [
+    rows: list[tuple[str, tuple[str, ...]]] = [
         (
             studio_link(row["sequence"], row["frame"]),
             (
@@ -39,7 +39,7 @@ def frame_table(lost: Lost, top: int) -> Table:
 
 def object_table(lost: Lost, top: int) -> Table:
     """The objects that lost most, likewise."""
-    rows = [
+    rows: list[tuple[str, tuple[str, ...]]] = [
         (
             studio_link(row["sequence"], row["frame"]),
             (
@@ -59,7 +59,7 @@ def object_table(lost: Lost, top: int) -> Table:
 
 def sum_table(lost: Lost, kind: str) -> Table:
     """Losses summed by a property, likewise; see :meth:`Lost.by`."""
-    rows = [
+    rows: list[tuple[str, tuple[str, ...]]] = [
         ("", (row["value"], f"{row['loss']:.1f}", str(row["missed"]), str(row["false"]), str(row["unsure"])))
         for row in lost.by(kind)
     ]

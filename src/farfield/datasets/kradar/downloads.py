@@ -113,12 +113,12 @@ def find_downloads(roots: Iterable[Path]) -> KRadarDownloads:
         elif (path := file_beside(member)) is not None:
             beside.setdefault(path, member)
     labelled: dict[str, set[int]] = {}
-    for path in map(PurePosixPath, beside):
-        if is_stem(path.stem):
+    for text in map(PurePosixPath, beside):
+        if is_stem(text.stem):
             sequence = next(
-                (part.removesuffix("_info_label_revised") for part in path.parts[-3:-1] if part[:1].isdigit()), ""
+                (part.removesuffix("_info_label_revised") for part in text.parts[-3:-1] if part[:1].isdigit()), ""
             )
-            labelled.setdefault(sequence, set()).add(int(path.stem.split("_")[0]))
+            labelled.setdefault(sequence, set()).add(int(text.stem.split("_")[0]))
     frames = []
     for (sequence, index), members in radar.items():
         if sequence in labelled and index not in labelled[sequence]:

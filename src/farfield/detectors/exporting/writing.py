@@ -148,7 +148,7 @@ def _record(detector: Detector, reading: Reading, licence: str) -> OnnxRecord:
         licence=licence,
         opset=OPSET,
         made_with=made_with,
-        reading=reading,  # type: ignore[arg-type]
+        reading=reading,
     )
 
 
