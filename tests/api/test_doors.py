@@ -61,9 +61,10 @@ def test_everything_that_is_a_sweep_is_detected_in(points: np.ndarray, tmp_path:
 
 def test_a_loaded_detector_takes_a_path_and_an_array(points: np.ndarray, tmp_path: Path) -> None:
     pytest.importorskip("torch")
+    from farfield.detectors.runtime import Detector
     from tests.detectors.small import small_detector
 
-    detector = small_detector("pointpillars")
+    detector = Detector(small_detector("pointpillars"), precision="fp32", device="cpu")
     np.save(tmp_path / "sweep.npy", points)
     boxes = [detector(given) for given in (points, tmp_path / "sweep.npy", str(tmp_path / "sweep.npy"))]
     assert [len(b) for b in boxes] == [len(boxes[0])] * 3

@@ -59,9 +59,9 @@ def write_coco(dataset: Dataset, path: Path) -> int:
         image = {"id": number, "file_name": _picture(dataset, index, marks.camera), "sequence": frame.sequence}
         images.append(image | {"frame": frame.frame_id, "width": int(size[0]), "height": int(size[1])})
         details = {} if frame.annotation is None else frame.annotation.details
-        for place, box in enumerate((*marks.box_px.tolist(), *marks.ignored_px.tolist())):
-            of_object = place < len(marks)
-            label = marks.label[place] if of_object else IGNORED
+        for mark, box in enumerate((*marks.box_px.tolist(), *marks.ignored_px.tolist())):
+            of_object = mark < len(marks)
+            label = marks.label[mark] if of_object else IGNORED
             left, top, right, bottom = box
             row = {
                 "id": len(rows) + 1,
@@ -72,8 +72,8 @@ def write_coco(dataset: Dataset, path: Path) -> int:
                 "iscrowd": 0 if of_object else 1,
             }
             if of_object:
-                known = {name: details[name] for name in ("truncation", "occlusion") if name in details}
-                row |= {name: np.asarray(values)[marks.row[place]].item() for name, values in known.items()}
+                columns = {name: details[name] for name in ("truncation", "occlusion") if name in details}
+                row |= {name: np.asarray(values)[marks.row[mark]].item() for name, values in columns.items()}
             rows.append(row)
     if not images:
         raise DatasetError(f"{dataset.root}: expected boxes in an image, as KITTI's labels have them; no frame has any")

@@ -18,7 +18,6 @@ from farfield.metrics.kit_axes import columns_of_boxes
 from farfield.metrics.kit_folders import (
     ALL,
     ANNOTATED,
-    DESC_ORDER,
     DESCRIBED,
     NOTHING,
     PREDICTED,
@@ -28,7 +27,7 @@ from farfield.metrics.kit_folders import (
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, KRADAR_FROM_CIRRUS, KRADAR_SHORT
 from farfield.vocabulary.conditions import CONDITIONS
 from farfield.vocabulary.counts import count_of
-from farfield.vocabulary.kradar import spelled
+from farfield.vocabulary.kradar import DESC_ORDER, spelled
 
 KIT_NAMES = {ours: KRADAR_SHORT[long] for ours, long in KRADAR_FROM_CIRRUS.items()} | {
     name: short for long, short in KRADAR_SHORT.items() for name in (long, short)
@@ -140,13 +139,13 @@ def write_instances_of(path: Path, boxes: Boxes, classes: Sequence[str], referen
     if strangers:
         raise ConfigError(f"{path}: expected classes of {', '.join(classes)}, got {', '.join(strangers)}")
     bottom_m = boxes.centre_m - boxes.size_m * [0.0, 0.0, 0.5]
-    known = boxes.velocity_m_s is not None and bool(np.isfinite(boxes.velocity_m_s[:, :2]).all())
+    has_velocity = boxes.velocity_m_s is not None and bool(np.isfinite(boxes.velocity_m_s[:, :2]).all())
     instances = InstanceBoxes(
         box=np.column_stack([bottom_m, boxes.size_m, boxes.yaw_rad]),
         box_type="LiDAR",
         class_number=np.array([numbers[str(name)] for name in boxes.label], dtype=np.int64),
         score=np.ones(len(boxes)) if boxes.score is None else boxes.score,
-        velocity_m_s=boxes.velocity_m_s[:, :2] if known and boxes.velocity_m_s is not None else None,
+        velocity_m_s=boxes.velocity_m_s[:, :2] if has_velocity and boxes.velocity_m_s is not None else None,
         classes=tuple(classes),
         reference=reference,
     )

@@ -28,13 +28,13 @@ def columns_in(value: Any) -> dict[str, Shaped[np.ndarray, " n"]] | None:
     return {str(name): np.asarray(value[name]) for name in names}
 
 
-def table_of(columns: Mapping[str, Any], library: str, asked: str) -> Any:
+def table_of(columns: Mapping[str, Any], library: str, caller: str) -> Any:
     """A DataFrame of columns.
 
     Args:
         columns: The columns by name.
         library: ``"pandas"`` or ``"polars"``.
-        asked: What asks for it, for messages.
+        caller: What needs it, for messages.
 
     Raises:
         ConfigError: If the library is not installed.
@@ -42,5 +42,5 @@ def table_of(columns: Mapping[str, Any], library: str, asked: str) -> Any:
     try:
         frame = named(f"{library}:DataFrame")
     except ImportError as error:
-        raise ConfigError(f"{asked} needs {library}. Install it with: pip install {library}") from error
+        raise ConfigError(f"{caller} needs {library}. Install it with: pip install {library}") from error
     return frame(dict(columns))

@@ -77,24 +77,26 @@ def decide_axes(parts: Sequence[KittiObjects]) -> tuple[str, str]:
     Raises:
         ConfigError: If the numbers do not decide it, or contradict one another; names the flag that does.
     """
-    place = np.concatenate([np.zeros((0, 3)), *[part.bottom_m for part in parts]])
+    bottom_m = np.concatenate([np.zeros((0, 3)), *[part.bottom_m for part in parts]])
     box_px = np.concatenate([np.zeros((0, 4)), *[part.box_px for part in parts]])
     turn_rad = np.concatenate([np.zeros(0), *[part.rotation_y_rad for part in parts]])
     labels = np.concatenate([np.zeros(0, "<U1"), *[part.type for part in parts]])
-    if not len(place):
+    if not len(bottom_m):
         return "exchanged", "there is no box whose axes had to be decided"
     # Which column is upright: objects on a road lie within a few metres there, and tens of metres in the others.
-    spread_m = np.percentile(place, 95, axis=0) - np.percentile(place, 5, axis=0)
+    spread_m = np.percentile(bottom_m, 95, axis=0) - np.percentile(bottom_m, 5, axis=0)
     stands_in = bool((box_px == STAND_IN_PX).all())
     shown = ", ".join(f"{name} {value:.1f} m" for name, value in zip("xyz", spread_m, strict=True))
-    if stands_in and spread_m[1] > max(_FLAT_M, spread_m[2]) and len(place) >= _FEW:
+    if stands_in and spread_m[1] > max(_FLAT_M, spread_m[2]) and len(bottom_m) >= _FEW:
         raise _undecided(f"the 2D boxes are the kit's, but y is not upright: of the middle nine tenths {shown}")
     if stands_in:
         places = "x y z as left, up, ahead, by the 2D boxes 50 50 150 150 that the kit alone writes"
     else:
         flat = [column for column in (1, 2) if spread_m[column] < _FLAT_M]
-        if len(flat) != 1 or len(place) < _FEW:
-            raise _undecided(f"{count_of(len(place), 'box', 'boxes')} spread over {shown}: not one column is upright")
+        if len(flat) != 1 or len(bottom_m) < _FEW:
+            raise _undecided(
+                f"{count_of(len(bottom_m), 'box', 'boxes')} spread over {shown}: not one column is upright"
+            )
         if flat == [2]:
             return "lidar", f"x y z as ahead, left, up: z alone is upright (spread {shown})"
         middle_m = float(np.median(place[:, 1]))

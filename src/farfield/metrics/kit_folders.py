@@ -20,12 +20,12 @@ from farfield.metrics.box_side import BoxSide
 from farfield.metrics.kit_axes import boxes_in_axes, decide_axes
 from farfield.vocabulary.classes import CIRRUS_FROM_ANY_KRADAR
 from farfield.vocabulary.conditions import UNKNOWN, condition_name, fits_kind
+from farfield.vocabulary.kradar import DESC_ORDER
 
 ALL = "all"
 PREDICTED, ANNOTATED, DESCRIBED = ("preds", "pred"), ("gts", "gt"), "desc"
 FRAMES = "FRAMES"
 """Which frame of which sequence a text is of: a line ``NUMBER<tab>SEQUENCE<tab>FRAME`` each."""
-DESC_ORDER = ("time", "road", "weather")
 _MAX_BYTES, _DESC_BYTES = 1 << 26, 4096
 
 

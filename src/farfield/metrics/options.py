@@ -33,21 +33,21 @@ def check_numbers(settings: Any) -> None:
 _OPEN = ("range_bins_m", "window_m", "region")
 
 
-def with_bootstrap(known: Collection[str], options: Mapping[str, Any]) -> dict[str, Any]:
+def with_bootstrap(names: Collection[str], options: Mapping[str, Any]) -> dict[str, Any]:
     """Options in which ``replicates`` and ``seed``, as the flags are called, are the setting ``bootstrap``.
 
     A protocol without intervals has none to draw, so that both say nothing there.
 
     Args:
-        known: The protocol's settings.
+        names: The protocol's settings.
         options: What was given.
 
     Raises:
         ConfigError: If ``bootstrap`` is given too.
     """
-    chosen = {name: options[name] for name in ("replicates", "seed") if name in options and name not in known}
+    chosen = {name: options[name] for name in ("replicates", "seed") if name in options and name not in names}
     others = {name: value for name, value in options.items() if name not in chosen}
-    if not chosen or "bootstrap" not in known:
+    if not chosen or "bootstrap" not in names:
         return others
     if others.get("bootstrap") is not None:
         raise ConfigError("bootstrap: expected it, or replicates and seed; got both")

@@ -53,10 +53,10 @@ class RunningMetric:
     ) -> None:
         self.name = f"{self.protocol}:{variant}" if variant else self.protocol
         self.label, self.names, self.sync, self.settings = label, tuple(classes), sync, settings
-        known = PROTOCOLS[self.name].options()
-        unknown = sorted(set(settings) - {*known, "replicates", "seed", "options"})
+        options = PROTOCOLS[self.name].options()
+        unknown = sorted(set(settings) - {*options, "replicates", "seed", "options"})
         if unknown:
-            raise ConfigError(f"{self.name}: expected settings among {', '.join(known)}; got {', '.join(unknown)}")
+            raise ConfigError(f"{self.name}: expected settings among {', '.join(options)}; got {', '.join(unknown)}")
         self.reset()
 
     def __repr__(self) -> str:

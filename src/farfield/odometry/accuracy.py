@@ -24,7 +24,7 @@ _LEAST_POSES = 3
 
 
 @dataclass(frozen=True)
-class Spread:
+class ErrorSpread:
     """What errors amount to, in their own unit.
 
     Args:
@@ -44,7 +44,7 @@ class Spread:
     most: float
 
     @classmethod
-    def of(cls, errors: Float[np.ndarray, " n"]) -> "Spread":
+    def of(cls, errors: Float[np.ndarray, " n"]) -> "ErrorSpread":
         """That of some errors, of which there is one at least."""
         values = (
             np.sqrt((errors**2).mean()),
@@ -89,9 +89,9 @@ class TrackAccuracy:
 
     poses: int
     way_m: float
-    ate_m: Spread
-    step_m: Spread
-    step_deg: Spread
+    ate_m: ErrorSpread
+    step_m: ErrorSpread
+    step_deg: ErrorSpread
     by_length: tuple[Stretches, ...]
 
     def __str__(self) -> str:
@@ -107,14 +107,14 @@ class TrackAccuracy:
         return "\n".join(lines)
 
 
-def aligned(poses: Float[np.ndarray, "n 4 4"], known: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
+def aligned(poses: Float[np.ndarray, "n 4 4"], reference: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4 4"]:
     """The track moved rigidly so that its places lie nearest to the known ones, in the mean of squares.
 
     Args:
         poses: The track, shape (n, 4, 4).
-        known: Known poses of the same moments.
+        reference: Known poses of the same moments.
     """
-    own, other = poses[:, :3, 3], known[:, :3, 3]
+    own, other = poses[:, :3, 3], reference[:, :3, 3]
     covariance = (other - other.mean(axis=0)).T @ (own - own.mean(axis=0))
     left, _, right = np.linalg.svd(covariance)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
@@ -127,7 +127,7 @@ def aligned(poses: Float[np.ndarray, "n 4 4"], known: Float[np.ndarray, "n 4 4"]
 
 def accuracy_of(
     poses: Float[np.ndarray, "n 4 4"],
-    known: Float[np.ndarray, "n 4 4"],
+    reference: Float[np.ndarray, "n 4 4"],
     *,
     breaks: Bool[np.ndarray, " n"] | None = None,
     lengths_m: Sequence[float] = LENGTHS_M,
@@ -136,40 +136,43 @@ def accuracy_of(
 
     Args:
         poses: The track, shape (n, 4, 4).
-        known: The known poses, in any world, shape (n, 4, 4).
+        reference: The known poses, in any world, shape (n, 4, 4).
         breaks: Moments before which the track knows no motion: no step or stretch goes over one.
         lengths_m: Lengths of the stretches; longer ones than the way are left out.
 
     Raises:
         ConfigError: If there are fewer than three poses, or not equally many.
     """
-    if poses.shape != known.shape or len(poses) < _LEAST_POSES:
+    if poses.shape != reference.shape or len(poses) < _LEAST_POSES:
         raise ConfigError(
-            f"accuracy: expected {_LEAST_POSES} poses or more on both sides, got {len(poses)} and {len(known)}"
+            f"accuracy: expected {_LEAST_POSES} poses or more on both sides, got {len(poses)} and {len(reference)}"
         )
-    placed = aligned(poses, known)
-    steps = [np.linalg.inv(track[:-1]) @ track[1:] for track in (known, poses)]
+    placed = aligned(poses, reference)
+    steps = [np.linalg.inv(track[:-1]) @ track[1:] for track in (reference, poses)]
     difference = np.linalg.inv(steps[0]) @ steps[1]
     unbroken = np.ones(len(difference), dtype=bool) if breaks is None or breaks[1:].all() else ~breaks[1:]
     difference = difference[unbroken]
-    whole = float(way_m(known)[-1])
+    whole = float(way_m(reference)[-1])
     rows = []
     for length_m in lengths_m:
         if length_m > whole:
             break
-        _, place, turn = differences(known, poses, breaks=breaks, stretch_m=length_m)
-        if len(place):
+        _, apart_m, turn_deg = differences(reference, poses, breaks=breaks, stretch_m=length_m)
+        if len(apart_m):
             rows.append(
                 Stretches(
-                    length_m, float(100 * place.mean() / length_m), float(100 * turn.mean() / length_m), len(place)
+                    length_m,
+                    float(100 * apart_m.mean() / length_m),
+                    float(100 * turn_deg.mean() / length_m),
+                    len(apart_m),
                 )
             )
     return TrackAccuracy(
         poses=len(poses),
         way_m=whole,
-        ate_m=Spread.of(np.linalg.norm(placed[:, :3, 3] - known[:, :3, 3], axis=1)),
-        step_m=Spread.of(np.linalg.norm(difference[:, :3, 3], axis=1)),
-        step_deg=Spread.of(np.degrees(np.linalg.norm(logarithm(difference)[:, :3], axis=1))),
+        ate_m=ErrorSpread.of(np.linalg.norm(placed[:, :3, 3] - reference[:, :3, 3], axis=1)),
+        step_m=ErrorSpread.of(np.linalg.norm(difference[:, :3, 3], axis=1)),
+        step_deg=ErrorSpread.of(np.degrees(np.linalg.norm(logarithm(difference)[:, :3], axis=1))),
         by_length=tuple(rows),
     )
 
@@ -196,6 +199,6 @@ def against_drive(table: PoseTable, drive: Drive) -> TrackAccuracy | None:
 def accuracy_json(accuracy: TrackAccuracy) -> dict[str, Any]:
     """As JSON values."""
     return {
-        **{name: vars(value) if isinstance(value, Spread) else value for name, value in vars(accuracy).items()},
+        **{name: vars(value) if isinstance(value, ErrorSpread) else value for name, value in vars(accuracy).items()},
         "by_length": [vars(one) for one in accuracy.by_length],
     }

@@ -17,6 +17,7 @@ import numpy as np
 
 from farfield.errors import FarfieldError
 from farfield.files.atomic import open_atomic
+from farfield.files.json_text import plain_json
 from farfield.files.nuscenes_tables import TableColumns, TableField, TokenLists, read_table
 
 LEAST_BYTES = 16 << 20
@@ -96,7 +97,7 @@ def _unpacked(cache: Path, key: str, fields: Mapping[str, TableField]) -> TableC
             if entry.kind == "tokens":
                 columns[name] = TokenLists(arrays[f"tokens {name}"], arrays[f"starts {name}"])
             elif entry.kind in _OBJECTS:
-                values: list[Any] = json.loads(arrays[f"objects {name}"].tobytes())
+                values: list[Any] = plain_json(arrays[f"objects {name}"].tobytes())
                 columns[name] = np.empty(len(values), dtype=object)
                 for row, value in enumerate(values):  # lists among them must not become axes
                     columns[name][row] = value

@@ -25,7 +25,7 @@ def chunk_rows(index: int, breaks_m: tuple[float, ...]) -> Float[np.ndarray, " k
     return np.unique(np.concatenate([np.linspace(first, last, 26), inner]))
 
 
-class Ground:
+class GroundSurface:
     """The ground's triangles, piece by piece, seen from above.
 
     Args:

@@ -16,7 +16,7 @@ from farfield.simulation.bodies import facades, furniture, plants
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box
 from farfield.simulation.bodies.plants import Leaves, Plant
-from farfield.simulation.world.ground import CHUNK_M, Ground, chunk_rows
+from farfield.simulation.world.ground import CHUNK_M, GroundSurface, chunk_rows
 from farfield.simulation.world.land import HeightNoise, Land
 from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.population import Lane, Obstacle, Population
@@ -79,7 +79,7 @@ class RoadLayout:
     running: list[Callable[[Float[np.ndarray, " k"]], Mesh]] = field(default_factory=list)
     placements: list[FixedObject] = field(default_factory=list)
     plants: list[LeafyPlace] = field(default_factory=list)
-    ground: Ground | None = None
+    ground: GroundSurface | None = None
     breaks_m: tuple[float, ...] = ()
 
     def plants_between(self, first_m: float, last_m: float) -> list[int]:
@@ -490,7 +490,7 @@ class RoadBuild:
         layout = RoadLayout(land, population, self._paint_seed, breaks_m=breaks_m)
         relief = self.stream("relief") if self.world == "v3" else None
         leaf_rng = self.stream("plants") if self.world == "v3" else None
-        layout.ground = Ground(land, breaks_m) if self.world == "v3" else None
+        layout.ground = GroundSurface(land, breaks_m) if self.world == "v3" else None
         return layout, Roadside(layout, self.around, FIRST_M, self.travel_m(ego_m_s) + 420.0, relief, leaf_rng)
 
     def stream(self, name: str) -> np.random.Generator:
