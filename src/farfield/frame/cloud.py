@@ -146,7 +146,7 @@ class Cloud(Locked):
         """One column as float32, shape (n,): ``x_m``, ``y_m``, ``z_m``, ``intensity`` or one of ``extra``.
 
         ``lag_s``, the age of a point's sweep, is zero where the cloud does not have it; so is the intensity of a
-        LiDAR's cloud that has none, with a warning. An absent ``sweep`` (sweeps before the present one) is 1 for old points.
+        LiDAR's cloud that has none, with a warning. An absent ``sweep`` (before the present one) is 1 for old points.
 
         Raises:
             ConfigError: If the cloud has no such column.

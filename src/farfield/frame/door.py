@@ -58,8 +58,9 @@ def cloud_of(value: Any) -> Cloud:
         rows = np.asarray(value)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ConfigError(f"expected {FRAME_TAKES}; got {type(value).__name__} ({str(error)[:120]})") from None
-    if rows.dtype.kind not in "fiu":
-        raise ConfigError(f"expected {FRAME_TAKES}; got {type(value).__name__} of {rows.dtype}")
+    if rows.dtype.kind not in "fiu" or not rows.ndim:
+        of = f" of {rows.dtype}" if rows.ndim else ""
+        raise ConfigError(f"expected {FRAME_TAKES}; got {type(value).__name__}{of}")
     check_points(rows)
     return Cloud.of(rows)
 
