@@ -27,13 +27,19 @@ HEAVY = ("megapixels", "gigapixels", "other names", "unpack", "holes", "kpoint",
     "name", [pytest.param(name, marks=[pytest.mark.slow] * any(part in name for part in HEAVY)) for name in ATTACKS]
 )
 def test_a_hostile_file_is_refused_in_little_memory_and_time(tmp_path: Path, name: str) -> None:
-    outcome = _fuzz_hostile.attempt(ATTACKS[name], tmp_path)
+    outcome = held(tmp_path, name)
+    if outcome.time_s > _fuzz_hostile.LIMIT_S:  # seconds of a processor that others heat are several times as long
+        (tmp_path / "again").mkdir()
+        outcome = held(tmp_path / "again", name)
+    assert outcome.time_s < _fuzz_hostile.LIMIT_S, outcome.time_s
+
+
+def held(folder: Path, name: str) -> "_fuzz_hostile.Outcome":
+    """An attempt that is refused in little memory."""
+    outcome = _fuzz_hostile.attempt(ATTACKS[name], folder)
     assert outcome.refused, outcome.words
     assert outcome.peak_bytes < _fuzz_hostile.LIMIT_BYTES, outcome.peak_bytes
-    if outcome.time_s > _fuzz_hostile.LIMIT_S:  # a processor that others heat takes several times as long: once more
-        (tmp_path / "again").mkdir()
-        outcome = _fuzz_hostile.attempt(ATTACKS[name], tmp_path / "again")
-    assert outcome.time_s < _fuzz_hostile.LIMIT_S, outcome.time_s
+    return outcome
 
 
 def test_what_is_not_refused_is_noticed(tmp_path: Path) -> None:
