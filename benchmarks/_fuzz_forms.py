@@ -26,6 +26,7 @@ from farfield.files.nuscenes import read_results
 from farfield.geometry.cameras import Camera
 from farfield.jobs.journal import JobJournal
 from farfield.metrics import comparing
+from farfield.metrics.box_files import read_predictions
 
 ODD: tuple[Any, ...] = (
     *(None, True, 0, -1, 1, 3, 1000, 1.5, 1e-300, 1e300, 2**31, 2**63, 2**64, 10**400, float("nan"), float("inf")),
@@ -88,6 +89,8 @@ def forms(folder: Path) -> Mapping[str, Form]:
         "json nuscenes": Form(".json", read_results, (_nuscenes(),), as_json, json_hostile),
         "json results": Form(".json", _read_compared, (_result(),), as_json, json_hostile),
         "json evaluation": Form(".json", _read_evaluation, (_result(),), as_json, json_hostile),
+        "json mmdetection3d": Form(".json", _read_instances, (_instances(),), as_json, json_hostile),
+        "kit's texts": Form(".txt", _read_kit, (_kit_rows(),), as_rows),
         "edits": Form(".jsonl", partial(read_journal, take=check_values), (_edits(),), as_edits),
         "job journal": Form(".jsonl", _read_jobs, (_jobs(),), as_lines),
     }
@@ -147,6 +150,31 @@ def as_yaml(tree: Any) -> bytes:
 def _block(tree: Mapping[str, Any]) -> bytes:
     rows = (f"{json.dumps(key)}: {json.dumps(value)}" for key, value in tree.items())
     return "\n".join(rows).replace("NaN", ".nan").replace("Infinity", ".inf").encode()
+
+
+def as_rows(rows: Any) -> bytes:
+    """A line a row, its words with blanks between."""
+    rows = rows if isinstance(rows, list) else [rows]
+    lines = (" ".join(map(str, row)) if isinstance(row, list) else str(row) for row in rows)
+    return "\n".join(lines).encode("utf-8", "surrogatepass") + b"\n"
+
+
+def _read_instances(path: Path) -> Any:
+    return read_predictions(path, format="mmdetection3d", class_names=("Pedestrian", "Cyclist", "Car")).boxes
+
+
+def _instances() -> Any:
+    box = [[20.0, 2.0, -1.7, 4.2, 1.8, 1.5, 0.3], [8.0, -1.0, -1.6, 0.8, 0.6, 1.7, -1.0]]
+    return {"labels_3d": [2, 0], "scores_3d": [0.9, 0.4], "bboxes_3d": box, "box_type_3d": "LiDAR"}
+
+
+def _read_kit(path: Path) -> Any:
+    return read_predictions(path, format="kradar").boxes
+
+
+def _kit_rows() -> Any:
+    head = ["sed", -1, -1, 0, 50, 50, 150, 150]
+    return [[*head, 1.6, 1.9, 4.4, 3.0 * row - 15, -0.2, 20.0 + row, 0.05, 0.75] for row in range(12)]
 
 
 def as_lines(rows: Any) -> bytes:

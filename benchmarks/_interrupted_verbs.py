@@ -87,6 +87,7 @@ CASES = {
     "convert --to cvat": VerbCase("convert DATA OUT --to cvat", "frames"),
     "convert --to nuscenes": VerbCase("convert DATA OUT --to nuscenes", "frames"),
     "convert --to nuscenes --dialect t4": VerbCase("convert DATA OUT --to nuscenes --dialect t4", "frames"),
+    "convert --to coco": VerbCase("convert DATA OUT --to coco", "frames", out="boxes.json"),
     "convert --to openpcdet": VerbCase("convert DATA OUT --to openpcdet", "frames"),
     "predict": VerbCase(
         "predict pointpillars-cirrus-sim DATA --cloud gaussian --out OUT", "frames", out="boxes.csv", needs=("torch",)

@@ -139,7 +139,7 @@ def impossible(draft: Draft, layout: Entries, entry: Any) -> None:
     """A size, a place or a turn that no object has."""
     kinds = [("size", layout.sizes, [0.0, -1.5]), ("place", layout.places, [2e7, -1e12])]
     kinds += [("yaw in degrees", (layout.yaw,), [90.0, -179.0, 45.0])] if layout.yaw else []
-    name, places, values = draft.pick(kinds)
+    name, places, values = draft.pick([kind for kind in kinds if kind[1]])
     put(entry, draft.pick(places), draft.pick(values))
     draft.note(f"impossible {name}", "refused")
 

@@ -181,29 +181,178 @@ OPENLABEL = Entries(
 )
 
 
-# labelCloud: its JSON is named, with what to write.
+# Label files beside clouds: labelCloud's three forms, Supervisely's episodes, Xtreme1's scenes, OpenLABEL's frames.
 
 
-def labelcloud(random: np.random.Generator, folder: Path) -> Case:
-    """An own folder with labelCloud's files, in three forms of its centroids."""
-    draft = Draft(random, model(random, FRAMES, tuple(USUAL)))
-    small_pcds(folder, FRAMES)
-    form = draft.pick(["centroid_rel", "centroid_abs", "vertices"])
-    draft.note(f"labels of labelCloud, {form}", "refused", "labelCloud")
-    for frame in FRAMES:
-        objects: list[Any] = []
-        for row in (row for row in draft.rows if row["frame"] == frame):
-            place = {"centroid": axes([row[axis] for axis in "xyz"])}
-            size = {"length": row["l"], "width": row["w"], "height": row["h"]}
-            turn = math.degrees(row["yaw"]) if form == "centroid_abs" else row["yaw"]
-            entry = {"name": row["label"], "dimensions": size, "rotations": axes([0, 0, turn])}
-            objects.append({"name": row["label"], "vertices": [[0.0] * 3] * 8} if form == "vertices" else entry | place)
-        names = {"folder": "pointclouds", "filename": f"{frame}.pcd", "path": f"pointclouds/{frame}.pcd"}
-        if random.random() < 0.3:
-            names = {}
-        text = json.dumps(names | {"objects": objects}, indent=draft.pick([None, 4]))
-        (folder / f"{frame}.json").write_text(text)
-    return dataset_case(draft, folder, ours=USUAL)
+def labelcloud_files(form: str, rows: Sequence[Row], folder: Path) -> tuple[dict[Path, Any], list[Any]]:
+    """``labels/`` beside ``pointclouds/``; a file whose angles may be either has one more that shows it."""
+    small_pcds(folder / "pointclouds", FRAMES)
+    entries = []
+    trees: dict[Path, Any] = {
+        folder / "labels" / f"{frame}.json": {"folder": "pointclouds", "filename": f"{frame}.pcd", "objects": []}
+        for frame in FRAMES
+    }
+    for row in rows:
+        if form == "vertices":
+            entry: dict[str, Any] = {"name": written(row), "vertices": corners(row)}
+        else:
+            turn = math.degrees(row["yaw"]) % 360 if form == "centroid_abs" else row["yaw"]
+            entry = {
+                "name": written(row),
+                "centroid": axes([row[axis] for axis in "xyz"]),
+                "dimensions": {"length": row["l"], "width": row["w"], "height": row["h"]},
+                "rotations": axes([0.0, 0.0, turn]),
+            }
+        entries.append(entry)
+        trees[folder / "labels" / f"{row['frame']}.json"]["objects"].append(entry)
+        row["track"] = None
+    return trees, entries
+
+
+def corners(row: Row) -> list[list[float]]:
+    """Left back, left front, right front and right back of the bottom, then of the top; right is ahead."""
+    turn = np.array([[math.cos(row["yaw"]), math.sin(row["yaw"])], [-math.sin(row["yaw"]), math.cos(row["yaw"])]])
+    flat = np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) * [row["l"] / 2, row["w"] / 2] @ turn
+    levels = [row["z"] - row["h"] / 2, row["z"] + row["h"] / 2]
+    return [[row["x"] + x, row["y"] + y, z] for z in levels for x, y in flat.tolist()]
+
+
+def labelcloud_case(draft: Draft, folder: Path, *, form: str) -> Case:
+    options = {"centroid_rel": {"label_angles": "radians"}, "centroid_abs": {"label_angles": "degrees"}}
+    if form != "vertices" and draft.edits == ["yaw in degrees"]:
+        draft.oracle = "either"
+    return dataset_case(draft, folder, ours=USUAL, columns="", options=options.get(form, {}))
+
+
+_CENTROID = (
+    *grouped((), ("centroid",)),
+    *(("dimensions", name) for name in ("length", "width", "height")),
+    *grouped((), ("rotations",)),
+)
+
+
+def labelcloud_layout(form: str) -> Entries:
+    """The entries of one form."""
+    vertices = tuple(("vertices", corner, axis) for corner in range(8) for axis in range(3))
+    numbers = vertices if form == "vertices" else _CENTROID
+    return Entries(
+        write=partial(labelcloud_files, form),
+        numbers=numbers,
+        sizes=() if form == "vertices" else _CENTROID[3:6],
+        places=numbers if form == "vertices" else _CENTROID[:3],
+        yaw=("rotations", "z") if form == "centroid_rel" else (),
+        words=(("name",),),
+        case=partial(labelcloud_case, form=form),
+    )
+
+
+def episode_files(rows: Sequence[Row], folder: Path) -> tuple[dict[Path, Any], list[Any]]:
+    """Supervisely's own axes: the width is x, and a box without rotation heads along y."""
+    drive = folder / "drive"
+    small_pcds(drive / "pointcloud", FRAMES)
+    (drive / "frame_pointcloud_map.json").write_text(json.dumps({str(i): f"{f}.pcd" for i, f in enumerate(FRAMES)}))
+    objects, entries = [], []
+    frames: list[dict[str, Any]] = [{"index": number, "figures": []} for number in range(len(FRAMES))]
+    for row in rows:
+        objects.append({"key": str(row["track"]), "classTitle": written(row), "tags": []})
+        turned = row | {"yaw": row["yaw"] - math.pi / 2, "l": row["w"], "w": row["l"]}
+        entry = {"key": f"f{row['track']}", "objectKey": str(row["track"]), "geometryType": "cuboid_3d"}
+        entries.append(entry | {"geometry": psr(turned, ("position", "rotation", "dimensions"))})
+        frames[FRAMES.index(row["frame"])]["figures"].append(entries[-1])
+    tree = {"description": "", "key": "e", "tags": [], "objects": objects, "framesCount": 2, "frames": frames}
+    return {drive / "annotation.json": tree}, entries
+
+
+EPISODES = Entries(
+    write=episode_files,
+    numbers=_SUPERVISELY,
+    sizes=_SUPERVISELY[3:6],
+    places=_SUPERVISELY[:3],
+    yaw=("geometry", "rotation", "z"),
+    words=(("objectKey",),),
+    case=partial(dataset_case, ours=USUAL, columns=""),
+)
+
+
+def xtreme1_files(rows: Sequence[Row], folder: Path) -> tuple[dict[Path, Any], list[Any]]:
+    """One source a result, with an object of an image among the boxes."""
+    scene = folder / "scene_1"
+    small_pcds(scene / "lidar_point_cloud_0", FRAMES)
+    flat = {"type": "2D_RECT", "className": "Car", "contour": {"points": [{"x": 1, "y": 2}]}}
+    trees: dict[Path, Any] = {
+        scene / "result" / f"{frame}.json": [{"version": "1.0", "sourceName": "Ground Truth", "objects": [dict(flat)]}]
+        for frame in FRAMES
+    }
+    entries = []
+    for row in rows:
+        contour = {"pointN": 5, "points": [], "viewIndex": 0} | psr(row, ("center3D", "rotation3D", "size3D"))
+        kind = {"type": "3D_BOX", "className": written(row), "trackId": str(row["track"]), "classValues": []}
+        entries.append(kind | {"contour": contour})
+        trees[scene / "result" / f"{row['frame']}.json"][0]["objects"].append(entries[-1])
+    return trees, entries
+
+
+_XTREME1 = grouped(("contour",), ("center3D", "size3D", "rotation3D"))
+XTREME1 = Entries(
+    write=xtreme1_files,
+    numbers=_XTREME1,
+    sizes=_XTREME1[3:6],
+    places=_XTREME1[:3],
+    yaw=("contour", "rotation3D", "z"),
+    words=(("className",),),
+    tracks=(("trackId",),),
+    case=partial(dataset_case, ours=USUAL),
+)
+
+
+def openlabel_cloud_files(rows: Sequence[Row], folder: Path) -> tuple[dict[Path, Any], list[Any]]:
+    """The same beside clouds that the frames' streams name."""
+    trees, entries = openlabel_files(rows, folder)
+    small_pcds(folder / "lidar", FRAMES)
+    (tree,) = trees.values()
+    for frame, name in zip(tree["openlabel"]["frames"].values(), FRAMES, strict=True):
+        frame["frame_properties"] = {"timestamp": 1.5, "streams": {"lidar": {"uri": f"lidar/{name}.pcd"}}}
+    return trees, entries
+
+
+OPENLABEL_CLOUDS = Entries(
+    write=openlabel_cloud_files,
+    numbers=_OPENLABEL,
+    sizes=_OPENLABEL[7:],
+    places=_OPENLABEL[:3],
+    case=partial(dataset_case, ours=USUAL),
+)
+
+
+def segments_files(rows: Sequence[Row], folder: Path) -> tuple[dict[Path, Any], list[Any]]:
+    """A release of one sample whose clouds stand in the world as they are."""
+    small_pcds(folder / "clouds", FRAMES)
+    names = list(dict.fromkeys(written(row) for row in rows))
+    labels: list[dict[str, Any]] = [{"annotations": []} for _ in FRAMES]
+    entries = []
+    for row in rows:
+        places = {"position": axes([row[axis] for axis in "xyz"]), "dimensions": axes([row[axis] for axis in "lwh"])}
+        kind = {"id": 1, "category_id": names.index(written(row)) + 1, "type": "cuboid", "track_id": row["track"]}
+        entries.append(kind | places | {"yaw": row["yaw"]})
+        labels[FRAMES.index(row["frame"])]["annotations"].append(entries[-1])
+    frames = [{"pcd": {"url": f"https://a/{frame}.pcd", "type": "pcd"}, "name": frame} for frame in FRAMES]
+    held = {"ground-truth": {"label_status": "LABELED", "attributes": {"frames": labels}}}
+    sample = {"name": "drive", "attributes": {"frames": frames}, "labels": held}
+    categories = [{"id": number + 1, "name": name} for number, name in enumerate(names)]
+    task = {"task_type": "pointcloud-cuboid-sequence", "task_attributes": {"categories": categories}}
+    return {folder / "v1.json": {"name": "v1", "dataset": task | {"samples": [sample]}}}, entries
+
+
+_SEGMENTS = (*grouped((), ("position", "dimensions")), ("yaw",))
+SEGMENTS = Entries(
+    write=segments_files,
+    numbers=_SEGMENTS,
+    sizes=_SEGMENTS[3:6],
+    places=_SEGMENTS[:3],
+    yaw=("yaw",),
+    whole=(("category_id",),),
+    case=partial(dataset_case, ours=USUAL),
+)
 
 
 # KITTI's tracklets, as KITTI's own page and CVAT's and Datumaro's writers mean them.
@@ -292,9 +441,13 @@ _TOOLS = {
     "datumaro": DATUMARO,
     "supervisely": SUPERVISELY,
     "openlabel": OPENLABEL,
+    "openlabel clouds": OPENLABEL_CLOUDS,
+    "episodes": EPISODES,
+    "xtreme1": XTREME1,
+    "segments_ai": SEGMENTS,
+    **{f"labelcloud {form}": labelcloud_layout(form) for form in ("centroid_rel", "centroid_abs", "vertices")},
 }
 FAMILIES = (
     *(Family(name, partial(make, layout), share=4.0) for name, layout in _TOOLS.items()),
-    Family("labelcloud", labelcloud, share=0.5),
     Family("tracklets", tracklets, share=4.0),
 )

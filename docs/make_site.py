@@ -31,7 +31,10 @@ ROOMS = {
     "farfield.errors": "Errors",
     "farfield.testing": "Checks for other people's parts",
 }
-TASKS = ("score-boxes", "own-data", "train-far", "read-kradar")
+TASKS = (
+    "tutorial", "cookbook", "get-the-data", "score-boxes", "own-data", "train-far", "read-kradar", "faq", "model-zoo",
+)  # fmt: skip
+COMING_FROM = ("from-openpcdet", "from-mmdetection3d", "from-kradar-kit", "from-nuscenes-devkit")
 _COPIED = ("CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "docs", "examples", "benchmarks/results")
 
 
@@ -57,7 +60,7 @@ def stage(folder: Path) -> Path:
 
 
 def _settings(pages: Path) -> str:
-    others = sorted(path.stem for path in (pages / "docs").glob("*.md") if path.stem not in TASKS)
+    others = sorted(path.stem for path in (pages / "docs").glob("*.md") if path.stem not in TASKS + COMING_FROM)
     lines = ["site_name: Farfield", "docs_dir: pages", "site_dir: site", "use_directory_urls: false"]
     lines += ["theme:", "  name: material", "  font: false", "plugins:", "  - search", "  - mkdocstrings:"]
     lines += ["      handlers:", "        python:", f"          paths: ['{ROOT / 'src'}']", "          options:"]
@@ -66,6 +69,7 @@ def _settings(pages: Path) -> str:
     lines += ["markdown_extensions:", "  - tables", "  - toc", "  - pymdownx.highlight", "  - pymdownx.superfences"]
     lines += ["nav:", "  - Home: index.md", "  - Tasks:"]
     lines += [f"    - docs/{name}.md" for name in TASKS]
+    lines += ["  - Coming from:", *(f"    - docs/{name}.md" for name in COMING_FROM)]
     lines += ["  - Subjects:", *(f"    - docs/{name}.md" for name in others), "    - examples/README.md"]
     lines += ["  - API:", *(f"    - {room}: api/{room}.md" for room in ROOMS)]
     lines += ["  - Project:", "    - CONTRIBUTING.md", "    - CHANGELOG.md"]

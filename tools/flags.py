@@ -4,13 +4,12 @@ python tools/flags.py            print the page
 python tools/flags.py --write    write it
 """
 
-import re
 import sys
 from pathlib import Path
-from typing import Any
 
 from farfield.cli import VERBS
 from farfield.cli._completion import arguments_of
+from farfield.cli._help import default_and_help, plain_metavar
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "flags.md"
 HEAD = """# Verbs and flags
@@ -18,15 +17,6 @@ HEAD = """# Verbs and flags
 Printed by `tools/flags.py` from the functions and frozen classes that define the flags; `farfield VERB --help` says the
 same with examples. A flag is the keyword of the same name in Python.
 """
-
-
-def default_and_help(argument: Any) -> tuple[str, str]:
-    """What an argument is unless given, and what it does."""
-    match = re.fullmatch(r"(.*?) ?\((default: (.*)|required|optional|repeatable)\)", argument.help or "", re.DOTALL)
-    if match is None:
-        return "", argument.help or ""
-    default = match.group(3) or ""
-    return ("" if default in ("None", "''") else default), match.group(1)
 
 
 def cell(text: str) -> str:
@@ -41,9 +31,7 @@ def rows_of(verb: str) -> list[str]:
         if argument.dest == "help":
             continue
         default, text = default_and_help(argument)
-        metavar = (
-            "" if argument.metavar is None else str(argument.metavar).replace("{None}|", "").replace("{None,", "{")
-        )
+        metavar = plain_metavar(argument)
         flags = " ".join(f"`{flag}`" for flag in argument.option_strings)
         name = f"{flags} `{metavar}`" if flags and metavar else flags or f"`{argument.dest.rpartition('.')[2]}`"
         rows.append(f"| {name.replace('|', chr(92) + '|')} | {f'`{default}`' if default else ''} | {cell(text)} |")

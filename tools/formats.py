@@ -17,7 +17,9 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "formats.md"
 HEAD = """# Formats
 
 Printed by `tools/formats.py` from what the code registers; `farfield formats` prints the same, `farfield formats NAME`
-all that is known of one. A folder's format is recognised from what it holds; `--format NAME` overrules it.
+all that is known of one, and `farfield formats velodyne` (any sensor, suffix, data set or tool) what is read of it. A
+folder's format is recognised from what it holds; `--format NAME` overrules it. Options of a reader without a flag are
+given as `--reader NAME=VALUE`, such as `--reader whole_scenes=true`.
 
 **No real file seen** means that the reader follows the format's description, and that the files in its tests were
 written by that description too: look at the first frames with `farfield show DATA`. What is checked on the way in
@@ -29,10 +31,25 @@ the frames say is said before anything is written, a line each; `--dry-run` says
 `.farfield_losses.jsonl` keeps it. The lines are of up to five frames that are spread over the set. A box is its centre,
 sizes and yaw in every target: roll and pitch were left out, or refused, when the source was read. A cache stands beside
 its source and loses nothing; a radar store holds radar products alone and is opened together with its source."""
+TOOLS = """What the pages of annotation tools say of their files, what they leave open, and how Farfield takes it. Of none
+of these files but SUSTechPOINTS' and KITTI's was a real one seen; who has some should look at a few boxes with `farfield show`
+first. Tracks that a tool names rather than numbers keep their names in the annotation's `track_name`, and texts, numbers
+and flags of a box go from tool to tool where the target has a place for them.
+
+| tool | what its page says | what it leaves open |
+|---|---|---|
+| labelCloud (`labelcloud`), <https://ch-sa.github.io/labelCloud>, its README, and a whole file in <https://github.com/ch-sa/labelCloud/issues/1> | `centroid_rel`: rotations in radians from -pi to pi; `centroid_abs`: degrees from 0 to 360; `vertices`: eight corners, bottom before top, left back, left front, right front, right back, the arrow on the right side. The length lies along x; rotations are counter-clockwise | No file names its form: negative rotations show radians, those beyond 3.15 degrees, file by file; a file that may be either follows the others or `--label-angles`, else it is refused. The README adds that a rotation runs from positive x to negative y, which is clockwise: the conventions are followed, the assumption is said, and `vertices`, which know no rotation, are written. No tracks: those of the studio stay in its journal |
+| CVAT (`cvat`, `supervisely`), <https://docs.cvat.ai/docs/manual/advanced/formats/> | Three exports of a task of point clouds: Datumaro, KITTI raw with `tracklet_labels.xml`, Sly Point Cloud | Datumaro's boxes have their length along x; what the tracklets' numbers stand for is told from their writer's marks or by `--tracklets` |
+| Supervisely (`supervisely`), <https://developer.supervisely.com/getting-started/supervisely-annotation-format/point-cloud-episodes> | Position is the centre; x of the dimensions is the width, y the length; without rotation a box heads along +y. `frame_pointcloud_map.json` orders an episode's clouds. Its example has a list around the episode, its SDK writes none: both are read, none is written | `ann/` of CVAT has the same keys with the length along x: the longer sides of vehicles and bicycles tell which, or `--label-axes`. Tags are of objects, so that what changes over time has no place in them. Images are not read |
+| Xtreme1 (`xtreme1`), <https://docs.xtreme1.io/xtreme1-docs/export-data/data-annotation-result> and its pages "upload dataset" and "coordinate system" | Centre, sizes and Euler angles in the cloud's coordinates, z up; `cameraExternal` brings a point into the camera, by rows unless `rowMajor` is false | That x of the sizes is the length is taken from the example. Of several sources the people's counts (`Ground Truth`, `Without Task`) |
+| OpenLABEL (`openlabel`), <https://www.asam.net/standards/detail/openlabel/> | `val` of a cuboid has ten numbers (a quaternion, x y z w) or nine (Euler angles) | Boxes stand in their cloud's coordinates: other `coordinate_systems` are not turned |
+| SUSTechPOINTS (`sustechpoints`), <https://github.com/naurril/SUSTechPOINTS> | Position, scale and rotation of a box in the LiDAR's coordinates | |
+| Scale, <https://docs.scale.com/reference/lidar-callback-format> | A list of cuboids a frame, in world coordinates, without yaw along +y | Not read: its clouds are JSON frames in the world's coordinates, which no other format here has |
+| Segments.ai (`segments_ai`), <https://docs.segments.ai/reference/label-types> and its pages on samples, categories and releases | Position in world coordinates, x of the dimensions the length, yaw counter-clockwise from +x; `ego_pose` is the pose of the sensor that took the cloud | Read, not written or edited: a release is made by the service. Clouds go by the ends of their addresses |"""  # noqa: E501
 PICTURES = {
     "none": "",
-    "first": "the first image with its calibration",
-    "first calibrated": "the first image of a calibrated camera",
+    "first": "the image of the calibrated camera that looks ahead, else the first image",
+    "front": "the image of the calibrated camera that looks ahead",
     "calibrated": "the images of calibrated cameras",
 }
 KINDS = {"labels": "Labels", "results": "Results", "clouds": "Single clouds"}
@@ -104,6 +121,7 @@ def page() -> str:
         if name not in ("cache", "radar-store")  # which have no boxes and are no copy
     ]
     parts += ["## Conversions", TARGETS_HEAD, table(("target", "what it is", "what it holds beside boxes"), targets)]
+    parts += ["## Annotation tools", TOOLS]
     return "\n\n".join(parts) + "\n"
 
 
@@ -112,6 +130,7 @@ def held(capacity: Capacity) -> str:
     several = "clouds of LiDARs and radars" if capacity.chosen is not None else "one cloud"
     words = [" and ".join(capacity.together) or several] if capacity.one_cloud else []
     words += [PICTURES[capacity.pictures], *sorted(capacity.attributes)]
+    words += ["texts, numbers and flags of a box"] if capacity.any_attributes else []
     words += [text for item, text in ITEMS.items() if item in capacity.holds]
     return ", ".join(filter(None, words))
 

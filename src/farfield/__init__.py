@@ -26,11 +26,13 @@ if _typing.TYPE_CHECKING:
         calibrate,
         detect,
         evaluate,
+        export,
         load_detector,
         open_dataset,
         score,
         show,
         simulate,
+        stream,
         train,
         transfer,
     )
@@ -39,6 +41,7 @@ if _typing.TYPE_CHECKING:
     from farfield.detectors.spec import detector as register_detector
     from farfield.errors import FarfieldError
     from farfield.frame import Annotation, Cloud, Frame, Sensor, merge_clouds, transform_frame
+    from farfield.frame.door import collate
     from farfield.geometry.boxes import Boxes
     from farfield.metrics.detections import Detections
     from farfield.metrics.detections import protocol as register_protocol
@@ -57,8 +60,10 @@ _HOMES = {
     "Sensor": "farfield.frame:Sensor",
     "adapt": "farfield.api:adapt",
     "calibrate": "farfield.api:calibrate",
+    "collate": "farfield.frame.door:collate",
     "detect": "farfield.api:detect",
     "evaluate": "farfield.api:evaluate",
+    "export": "farfield.api:export",
     "load_detector": "farfield.api:load_detector",
     "merge_clouds": "farfield.frame:merge_clouds",
     "open_dataset": "farfield.api:open_dataset",
@@ -68,11 +73,14 @@ _HOMES = {
     "score": "farfield.api:score",
     "show": "farfield.api:show",
     "simulate": "farfield.api:simulate",
+    "stream": "farfield.api:stream",
     "track": "farfield.tracking:track",
     "train": "farfield.api:train",
     "transfer": "farfield.api:transfer",
     "transform_frame": "farfield.frame:transform_frame",
 }
+_ROOMS = ("metrics",)
+"""Rooms that are reached as ``ff.metrics`` without an import of their own."""
 _OLD_NAMES = {
     "dataset": "register_dataset",
     "detector": "register_detector",
@@ -92,8 +100,10 @@ __all__ = [
     "Sensor",
     "adapt",
     "calibrate",
+    "collate",
     "detect",
     "evaluate",
+    "export",
     "load_detector",
     "merge_clouds",
     "open_dataset",
@@ -103,6 +113,7 @@ __all__ = [
     "score",
     "show",
     "simulate",
+    "stream",
     "track",
     "train",
     "transfer",
@@ -114,6 +125,8 @@ def __getattr__(name: str) -> _typing.Any:
     if name in _OLD_NAMES:
         _warnings.warn(f"farfield.{name} is now farfield.{_OLD_NAMES[name]}", DeprecationWarning, stacklevel=2)
         name = _OLD_NAMES[name]
+    if name in _ROOMS:
+        return _importlib.import_module(f"farfield.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'farfield' has no attribute {name!r}")
     module, _, attribute = _HOMES[name].partition(":")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from farfield.errors import DatasetError
+from farfield.errors import ConfigError, DatasetError
 from farfield.vocabulary.scores import SHOWN_SCORE
 
 if TYPE_CHECKING:
@@ -19,9 +19,12 @@ if TYPE_CHECKING:
     from farfield.calibration.lidar_lidar import Registration
     from farfield.calibration.solving import CalibrationKind
     from farfield.datasets.base import Dataset
+    from farfield.detectors.exporting.writing import OnnxExport
     from farfield.detectors.info import DescribedDetector, DetectorFunction
     from farfield.detectors.network import Network
+    from farfield.detectors.onnx.detector import OnnxDetector
     from farfield.detectors.runtime import Detector
+    from farfield.evaluation.streaming import DropRule, SweepStream
     from farfield.experiments.adapting import AdaptationResult
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
@@ -64,8 +67,10 @@ def load_detector(
     nms_iou: float | None = None,
     max_boxes: int | None = None,
     classes: "Iterable[str] | Mapping[str, str] | None" = None,
-) -> "Detector":
-    """Load a detector: a bundled name such as ``"pointpillars-cirrus-sim"``, a run's folder, or a weights file.
+) -> "Detector | OnnxDetector":
+    """Load a detector: a bundled name such as ``"pointpillars-cirrus-sim"``, a run's folder, a weights file.
+
+    Or one that :func:`export` wrote, ``.onnx``, which needs no torch.
 
     Args:
         name: Which one.
@@ -82,26 +87,60 @@ def load_detector(
     Raises:
         FarfieldError: If there is nothing of this name.
         ConfigError: If a limit is not possible, or the detector does not know a class.
-        MissingExtraError: If torch is not installed.
+        MissingExtraError: If torch, or for an exported detector onnxruntime, is not installed.
     """
+    options: dict[str, Any] = {
+        "device": device,
+        "precision": precision,
+        "cloud": cloud,
+        "score_threshold": score_threshold,
+        "nms_iou": nms_iou,
+        "max_boxes": max_boxes,
+        "classes": classes,
+    }
+    if Path(name).suffix.lower() == ".onnx":
+        from farfield.detectors.onnx.detector import OnnxDetector
+
+        return OnnxDetector(name, **options)
     _require_torch()
     from farfield.detectors.runtime import Detector
 
-    return Detector.load(
-        name,
-        device=device,
-        precision=precision,
-        cloud=cloud,
-        score_threshold=score_threshold,
-        nms_iou=nms_iou,
-        max_boxes=max_boxes,
-        classes=classes,
-    )
+    return Detector.load(name, **options)
+
+
+def export(
+    detector: "Detector | Path | str", out: Path | str, *, licence: str = "", score_threshold: float | None = None
+) -> "OnnxExport":
+    """Write a trained detector as an ONNX file that runs without torch: what ``farfield export`` does.
+
+    The file is compared with the network on five clouds before it is written; beside it stands a card, ``OUT.md``.
+
+    Args:
+        detector: A bundled detector's name, a run's folder, a weights file, or a loaded detector (fp32, on the CPU).
+        out: The file, ``.onnx``; :func:`load_detector` takes it.
+        licence: Under which the weights may be used, for the card.
+        score_threshold: The file's own threshold; that of the weights unless given.
+
+    Returns:
+        What was written, with the parity of each cloud.
+
+    Raises:
+        FarfieldError: If there are no such weights, or file and network do not agree; nothing is left then.
+        ConfigError: If the detector is of a kind that is not exported.
+        MissingExtraError: If torch, onnx, onnxscript or onnxruntime is not installed.
+    """
+    _require_torch()
+    from farfield.detectors.exporting.writing import export as write
+    from farfield.detectors.runtime import Detector
+
+    if not isinstance(detector, Detector):
+        detector = Detector.load(detector, device="cpu", precision="fp32", score_threshold=score_threshold)
+    return write(detector, Path(out), licence=licence)
 
 
 def detect(
-    detector: "DescribedDetector | DetectorFunction",
-    data: "Sequence[Frame] | Dataset",
+    detector: "DescribedDetector | DetectorFunction | str | Path",
+    data: Any,
     *,
     cloud: str | None = None,
     progress: Progress = iter,
@@ -111,22 +150,82 @@ def detect(
     Where the data seem to be in other axes or units than ours, ``.notes`` say so.
 
     Args:
-        detector: A detector, or any function from a frame to scored boxes.
-        data: A data set, or frames in memory.
+        detector: A detector, its name or folder, or any function from a frame to scored boxes.
+        data: A data set or its folder; a cloud file; an array or table of points; or a list of files or sweeps, see
+            :func:`farfield.datasets.door.dataset_of`.
         cloud: Which of the frames' clouds to read; by default the first that suits the detector.
         progress: Wraps the frame numbers, to show progress.
+
+    Raises:
+        ConfigError: If the data or the detector are nothing of these, or an array cannot be what it is taken for.
     """
+    from farfield.datasets.door import dataset_of
     from farfield.evaluation import detect as detect_all
 
-    return _doubted(detect_all(detector, data, cloud=cloud, progress=progress), data, cloud)
+    data = dataset_of(data)
+    return _doubted(detect_all(_detector_of(detector), data, cloud=cloud, progress=progress), data, cloud)
 
 
-def _doubted(detections: "Detections", data: "Sequence[Frame] | Dataset", cloud: str | None) -> "Detections":
+def stream(
+    detector: "DescribedDetector | DetectorFunction",
+    source: "Dataset | Path | str | Iterable[Frame | Cloud]",
+    *,
+    rate_hz: float | None = None,
+    drop: "DropRule | None" = None,
+    waiting: int = 1,
+    cloud: str | None = None,
+    idle_s: float | None = None,
+) -> "SweepStream":
+    """Detect in sweeps as they come: ``for boxes in ff.stream(detector, source)``.
+
+    The next sweep is read and, for an exported detector, voxelised while the network works on this one. What is dropped
+    because sweeps come faster than boxes is counted, and a warning at the end says it.
+
+    Args:
+        detector: A detector, or any function from a frame to scored boxes.
+        source: A data set or bag, or its path; with ``idle_s`` a folder of clouds that fills; or frames or clouds one
+            after the other, such as a generator that waits for a sensor.
+        rate_hz: Take sweeps at this rate, as a sensor gives them; as they come unless given.
+        drop: Which sweep is dropped where ``waiting`` others wait: ``"oldest"``, ``"newest"`` or ``"none"``; unless
+            given none, but with ``rate_hz`` the oldest.
+        waiting: Sweeps that may wait.
+        cloud: Which of a frame's clouds to read.
+        idle_s: Read the path as a folder that fills, until no file came for so long.
+
+    Returns:
+        An iterable of boxes; its ``sweep`` and ``latency_ms`` are those of the last ones, its ``report`` has counts,
+        p50 and p99.
+
+    Raises:
+        ConfigError: If a choice is not possible.
+        DatasetError: If there is no such source.
+    """
+    from farfield.evaluation.streaming import stream as stream_sweeps
+
+    return stream_sweeps(detector, source, rate_hz=rate_hz, drop=drop, waiting=waiting, cloud=cloud, idle_s=idle_s)
+
+
+def _detector_of(detector: Any) -> Any:
+    """A detector, loaded where it is named.
+
+    Raises:
+        ConfigError: If it is neither a name nor a function.
+    """
+    if isinstance(detector, str | Path):
+        return load_detector(detector)
+    if not callable(detector):
+        raise ConfigError(
+            "detector: expected a detector, a bundled one's name, a run's folder, or a function from a frame to scored "
+            f"boxes; got {type(detector).__name__}"
+        )
+    return detector
+
+
+def _doubted(detections: "Detections", data: "Dataset", cloud: str | None) -> "Detections":
     """Detections whose notes say where the data's axes or units seem to be others than ours, as ``predict`` warns."""
-    from farfield.datasets import in_memory
     from farfield.inspection.axes_and_units import first_doubts
 
-    doubts = tuple(map(str, first_doubts(in_memory(data), cloud=cloud)))
+    doubts = tuple(map(str, first_doubts(data, cloud=cloud)))
     return replace(detections, notes=(*doubts, *detections.notes)) if doubts else detections
 
 
@@ -167,8 +266,8 @@ def transfer(
 
 
 def evaluate(
-    detector: "DescribedDetector | DetectorFunction | Mapping[tuple[str, str], Boxes]",
-    data: "Sequence[Frame] | Dataset",
+    detector: "DescribedDetector | DetectorFunction | Mapping[tuple[str, str], Boxes] | str | Path",
+    data: Any,
     *,
     protocol: str = "dds",
     cloud: str | None = None,
@@ -179,8 +278,8 @@ def evaluate(
     """Score a detector, or predictions made before, on annotated frames: ``detect(detector, data).score(protocol)``.
 
     Args:
-        detector: A detector, or its boxes by (sequence, frame), in the coordinates of ``data``.
-        data: Annotated frames.
+        detector: A detector, its name, or its boxes by (sequence, frame), in the coordinates of ``data``.
+        data: Annotated frames, or a data set's folder.
         protocol: ``"dds"``, ``"nuscenes"``, ``"kitti"``, ``"kradar"``, ``"kradar-compat:VARIANT"`` or a registered one.
         cloud: Which of the frames' clouds to read; by default the first that suits the detector.
         progress: Wraps the frame numbers, to show progress.
@@ -195,16 +294,18 @@ def evaluate(
         DatasetError: If no frame is annotated.
         ConfigError: If the protocol or a setting is unknown, or no cloud suits the detector.
     """
+    from farfield.datasets.door import dataset_of
     from farfield.evaluation import detect as detect_all
     from farfield.evaluation import detections_from_boxes
 
+    data = dataset_of(data)
     if metric is not None:
         warnings.warn("evaluate: metric= is called protocol= now", DeprecationWarning, stacklevel=2)
         protocol = metric
     if isinstance(detector, Mapping):
         detections = detections_from_boxes(detector, data, cloud=cloud, progress=progress)
     else:
-        detections = detect_all(detector, data, cloud=cloud, annotated_only=True, progress=progress)
+        detections = detect_all(_detector_of(detector), data, cloud=cloud, annotated_only=True, progress=progress)
     if not detections.annotations:
         raise DatasetError("evaluate: expected annotated frames, found none with boxes.")
     detections.check_label(protocol, **settings)
@@ -219,6 +320,8 @@ def score(
     format: str = "boxes-csv",
     reference: str = "",
     conditions: Path | str | None = None,
+    axes: str = "",
+    class_names: Sequence[str] = (),
     **settings: Any,
 ) -> "Result":
     """Score the boxes of any detector against annotated boxes, without a model: what ``farfield score`` does.
@@ -228,10 +331,13 @@ def score(
         labels: File, or folder of files of equal stems, of annotated boxes; or a data set, or its folder, whose
             annotation is then seen in the coordinates of the predictions.
         protocol: As of :func:`evaluate`; also ``"tracking"`` and ``"nuscenes-tracking"``.
-        format: Format of both: ``"boxes-csv"``, ``"kitti"``, ``"kitti-tracking"`` or ``"nuscenes"``.
+        format: Format of both: ``"boxes-csv"``, ``"kitti"``, ``"kitti-tracking"``, ``"nuscenes"``, ``"argoverse2"``,
+            ``"waymo"``, ``"kradar"``, ``"openpcdet"`` or ``"mmdetection3d"``.
         reference: Coordinates of boxes whose files do not name them, such as ``"radar"``.
         conditions: For ``"kradar"``: a CSV with the columns sequence, road, time, weather; a K-Radar tree with its
             description.txt files; or ``"published"`` for the table of K-Radar's 58 sequences.
+        axes: For ``"kradar"``: axes of the kit's texts; unless given they are decided from the boxes, or refused.
+        class_names: For ``"mmdetection3d"``: the model's classes in the order of their numbers.
         **settings: Settings of the protocol, such as ``label`` (the most frequent class unless given),
             ``range_bins_m``, ``region``, ``iou``.
 
@@ -245,7 +351,9 @@ def score(
     from farfield.evaluation import read_detections, with_conditions
     from farfield.metrics import PROTOCOLS
 
-    detections = read_detections(predictions, labels, format=format, reference=reference)
+    detections = read_detections(
+        predictions, labels, format=format, reference=reference, axes=axes, class_names=class_names
+    )
     if conditions is not None:
         detections = with_conditions(detections, PROTOCOLS[protocol], conditions)
     return detections.score(protocol, **settings)

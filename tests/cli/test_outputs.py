@@ -27,6 +27,7 @@ FILES = {
     "formats": "formats --json FILE",
     "detectors": "detectors --json FILE",
     "import-weights": "import-weights WEIGHTS FILE.safetensors",
+    "export": "export WEIGHTS FILE.onnx",
     "predict": f"predict {DETECTOR} DATA --out FILE.csv",
     "predict, a picture": f"predict {DETECTOR} DATA --picture FILE",
     "evaluate": f"evaluate {DETECTOR} DATA --out OUT --json FILE",

@@ -109,7 +109,7 @@ def test_nuscenes_results_are_the_json_that_the_suffix_says(own, tmp_path, capsy
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--out", "results/"], "--format kitti"),
+        (["--out", "results/"], "--to kitti"),
         (["--out", "boxes.txt"], ".csv"),
         (["--out", "boxes.json", "--format", "boxes-csv"], ".csv"),
         (["--out", "boxes.csv", "--format", "nuscenes"], ".json"),

@@ -25,6 +25,7 @@ NO_DRY_RUN = {
     "annotate": "writes what is drawn, as it is drawn",
     "new-dataset": "an example of some kilobytes",
     "import-weights": "one file, of the checkpoint's size",
+    "export": "one file of the weights' size, and a page",
 }
 NO_OUT = {
     "doctor": "--json is all it writes",
@@ -39,6 +40,7 @@ NO_OUT = {
     "convert": "its target comes without a flag",
     "anonymize": "its folder comes without a flag",
     "import-weights": "its file comes without a flag",
+    "export": "its file comes without a flag",
 }
 RESULTS = {"doctor", "stats", "score", "evaluate", "compare", "detectors"}
 """Verbs whose result is figures."""

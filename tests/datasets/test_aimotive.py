@@ -13,6 +13,9 @@ from PIL import Image
 from farfield.datasets import open_dataset, recognise
 from farfield.errors import DatasetError, FarfieldError, FileFormatError
 
+from .generators.aimotive import write_aimotive
+from .generators.truth import check_dataset, open_recognised
+
 SESSION = "20210901-194123-00.37.12-00.37.27@Yoda"
 NUMBER, TIME_NS = 33643, 4833189570000
 YAW_RAD = 0.3
@@ -233,3 +236,8 @@ def test_the_published_session(shared_real: Path) -> None:
     counts = [len(rows) for rows in frame.cloud("lidar").in_boxes(frame.boxes)]
     assert {17, 17_508, 89} <= set(counts)
     assert len(frame.cloud("F_LRR_C")) == 39
+
+
+def test_clouds_as_las_are_read_too(tmp_path):
+    truth = write_aimotive(tmp_path, packed=False)
+    check_dataset(open_recognised(tmp_path), truth)

@@ -140,7 +140,10 @@ def lacking(source: Frame, got: Frame) -> set[str]:
     return {item for item, holds in held.items() if not holds()}
 
 
-@pytest.mark.parametrize("to", ["kitti", "openpcdet", "cirrus", "sustechpoints", "cvat", "nuscenes", "t4"])
+@pytest.mark.parametrize(
+    "to",
+    ["kitti", "openpcdet", "cirrus", "sustechpoints", "cvat", "supervisely", "xtreme1", "labelcloud", "nuscenes", "t4"],
+)
 def test_named_losses_are_what_a_second_reading_lacks(to: str, everything: Dataset, tmp_path: Path) -> None:
     announced: list[str] = []
     everything = InMemory(list(everything), in_order=to in ("nuscenes", "t4"))  # whose scenes are drives
@@ -184,14 +187,15 @@ def test_the_losses_of_openlabel(everything: Dataset, tmp_path: Path) -> None:
         label=[label.label for label in labels],
         track_id=np.array([int(label.track) for label in labels]),
     )
-    assert not any(label.attributes or label.score for label in labels)
+    assert not any(label.score for label in labels)
+    details = {name: np.array([label.attributes[name] for label in labels]) for name in labels[0].attributes}
     frames = json.loads(path.read_text())["openlabel"]["frames"]
     times = [int(row["frame_properties"]["timestamp"].replace(".", "")) for row in frames.values()]
     got = Frame(
         sequence="drive 1",
         frame_id=frames["1"]["frame_properties"]["frame_id"],
         time_ns=times[1],
-        load_annotation=Constant(Annotation(boxes=boxes)),
+        load_annotation=Constant(Annotation(boxes=boxes, details=details)),
     )
     named = {loss.item: loss for loss in losses(everything, "openlabel")}
     assert len(frames) == 3, "empty frames are held"
@@ -203,6 +207,9 @@ def test_the_losses_of_openlabel(everything: Dataset, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("to", "item", "names"),
     [
+        ("labelcloud", "tracks", ()),
+        ("supervisely", "attributes", ("occlusion", "colour")),
+        ("xtreme1", "images", ("rear",)),
         ("kitti", "clouds", ("side",)),
         ("kitti", "images", ("left", "rear")),
         ("kitti", "attributes", ("colour",)),

@@ -42,7 +42,8 @@ def test_every_page_is_on_the_site(make_site: ModuleType, tmp_path: Path) -> Non
     settings = make_site.stage(tmp_path / "site").read_text("utf-8")
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")}
     assert {name for name in pages if f"docs/{name}.md" not in settings} == set()
-    assert set(make_site.TASKS) <= pages
+    assert {*make_site.TASKS, *make_site.COMING_FROM} <= pages
+    assert all(settings.count(f"docs/{name}.md") == 1 for name in pages)
 
 
 def test_what_pages_link_to_is_on_the_site(make_site: ModuleType, tmp_path: Path) -> None:

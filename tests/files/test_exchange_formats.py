@@ -123,7 +123,8 @@ def test_datumaro_comes_back() -> None:
 
 
 def test_supervisely_is_read() -> None:
-    (found,) = parse_supervisely(json.dumps(SLY).encode(), "a1.pcd.json")
+    (entry,) = parse_supervisely(json.dumps(SLY).encode(), "a1.pcd.json")
+    found = entry.cuboid
     near(found, replace(CAR, frame="", track="k1", attributes={"parked": "yes"}))
     assert (found.track, found.attributes) == ("k1", {"parked": "yes"})
 

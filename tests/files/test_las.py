@@ -106,6 +106,10 @@ def test_extra_bytes_have_their_names_scales_and_gaps(path: Path) -> None:
     [
         (geo_keys(k1024=1, k3072=32632, k3076=9001), ""),
         (geo_keys(k1024=1, k3072=25832), ""),
+        (geo_keys(k1024=1, k3072=31982), ""),  # SIRGAS 2000 / UTM 22S
+        (geo_keys(k1024=1, k3072=3346), ""),  # Lithuania's
+        (geo_keys(k1024=1, k3072=3857), "EPSG:3857"),
+        (geo_keys(k1024=1, k3072=2048), "EPSG:2048"),  # to the west and south
         (geo_keys(), ""),
         (geo_keys(k1024=1, k3076=9002), "feet"),
         (geo_keys(k1024=1, k3072=32632, k3076=9003), "US survey feet"),

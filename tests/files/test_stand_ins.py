@@ -1,6 +1,7 @@
 """What stands in the place of a file is named by every reader, with the command that fetches the file itself."""
 
 import gzip
+import math
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -143,8 +144,11 @@ def test_labels_of_labelcloud_are_named(tmp_path: Path) -> None:
         ' "z": 3}, "dimensions": {"length": 4, "width": 2, "height": 1}, "rotations": {"x": 0, "y": 0, "z": 90}}]}'
     )
     with pytest.raises(FileFormatError, match="labels of labelCloud") as refused:
-        open_dataset(tmp_path).annotation(0)
-    assert "rotations.z" in refused.value.fix
+        open_dataset(tmp_path, format="folder").annotation(0)
+    assert "--format labelcloud" in refused.value.fix
+    boxes = open_dataset(tmp_path)[0].boxes
+    assert boxes is not None
+    assert boxes.yaw_rad.tolist() == [math.pi / 2]
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".pt", ".zip"])

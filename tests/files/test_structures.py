@@ -45,10 +45,7 @@ def test_hundreds_of_edits_change_no_number_without_a_word(name: str, tmp_path: 
     )
     tally = tried(FAMILIES[name], number, tmp_path)
     assert faults(tally) == []
-    if name == "labelcloud":  # a layout that is recognised and refused, with a cure
-        assert tally.outcomes["refused"] == number
-    else:
-        assert tally.outcomes["same"] + tally.outcomes["said"] > 0  # something was read
+    assert tally.outcomes["same"] + tally.outcomes["said"] > 0  # something was read
 
 
 def raise_config_error() -> Reading:

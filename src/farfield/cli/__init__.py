@@ -6,44 +6,61 @@ import os
 import sys
 import traceback
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from functools import update_wrapper
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from farfield.cli._help import HELP, HELP_ALL, help_text
+from farfield.cli._output import note_command
 from farfield.errors import FarfieldError, MissingExtraError
 
-VERBS = {
-    "demo": "simulate, detect, score and report: no data, no GPU",
-    "doctor": "say what a data set holds, what is missing and how to fix it",
-    "stats": "count a data set: frames by condition, boxes by class, range, visibility",
-    "radar": "look at 4D radar frames: power, Doppler, echoes, beside the camera",
-    "show": "draw one frame from above: a cloud, or the radar's power",
-    "view": "look at a data set in the browser, with detections beside the truth",
-    "annotate": "draw and fix boxes and tracks in the browser",
-    "new-dataset": "write an example of an own data set, to put your own files in its place",
-    "simulate": "write a simulated data set in a real data set's layout",
-    "convert": "write a data set in another layout, or as a fast binary cache",
-    "formats": "list the formats that are read and written: how certain, how to open",
-    "detectors": "list the detectors with their size, speed and score",
-    "experiments": "list the experiments that ship, or print one as YAML",
-    "train": "train a detector: a shipped experiment or one YAML file; resumes by itself",
-    "adapt": "adapt a detector to your own unlabelled sweeps; resumes by itself",
-    "reproduce": "put a paper's tables to the test: a grid of trainings, decisions, one page",
-    "import-weights": "turn an OpenPCDet checkpoint into a weights file",
-    "predict": "detect objects in clouds or a data set and write the boxes",
-    "evaluate": "run a detector over a data set and score it by range",
-    "track": "give detections identities and velocities over time",
-    "sync": "match streams of stamps to one of them: offsets, drift, gaps",
-    "calibrate": "solve where radar, camera or a second LiDAR stands, with residuals",
-    "odometry": "find the poses of drives from their sweeps, and how far they drift",
-    "anonymize": "cover faces in pictures, originals untouched; resumes by itself",
-    "depth": "write dense depth maps of the cameras from the LiDAR, with uncertainty",
-    "score": "score the files of any detector, without a model",
-    "compare-results": "set results side by side, never two conventions in one column",
-    "compare": "set the statistics of two data sets side by side: figures and a table",
-    "report": "turn an evaluation into one self-contained HTML page",
+GROUPS = {
+    "begin": {
+        "demo": "simulate, detect, score and report: no data, no GPU",
+        "new-dataset": "write an example of an own data set, to put your own files in its place",
+        "formats": "list the formats that are read and written: how certain, how to open",
+        "detectors": "list the detectors with their size, speed and score",
+        "experiments": "list the experiments that ship, or print one as YAML",
+    },
+    "look at data": {
+        "doctor": "say what a data set holds, what is missing and how to fix it",
+        "stats": "count a data set: frames by condition, boxes by class, range, visibility",
+        "compare": "set the statistics of two data sets side by side: figures and a table",
+        "show": "draw one frame from above: a cloud, or the radar's power",
+        "radar": "look at 4D radar frames: power, Doppler, echoes, beside the camera",
+        "view": "look at a data set in the browser, with detections beside the truth",
+    },
+    "make and prepare data": {
+        "simulate": "write a simulated data set in a real data set's layout",
+        "convert": "write a data set in another layout, or as a fast binary cache",
+        "annotate": "draw and fix boxes and tracks in the browser",
+        "anonymize": "cover faces in pictures, originals untouched; resumes by itself",
+        "sync": "match streams of stamps to one of them: offsets, drift, gaps",
+        "calibrate": "solve where radar, camera or a second LiDAR stands, with residuals",
+        "odometry": "find the poses of drives from their sweeps, and how far they drift",
+        "depth": "write dense depth maps of the cameras from the LiDAR, with uncertainty",
+    },
+    "train": {
+        "train": "train a detector: a shipped experiment or one YAML file; resumes by itself",
+        "adapt": "adapt a detector to your own unlabelled sweeps; resumes by itself",
+        "reproduce": "put a paper's tables to the test: a grid of trainings, decisions, one page",
+        "import-weights": "turn an OpenPCDet checkpoint into a weights file",
+        "export": "write a trained detector as an ONNX file that runs without torch",
+    },
+    "detect and score": {
+        "predict": "detect objects in clouds or a data set and write the boxes",
+        "evaluate": "run a detector over a data set and score it by range",
+        "score": "score the files of any detector, without a model",
+        "track": "give detections identities and velocities over time",
+        "worst": "list the frames and objects on which an evaluation lost most, with pictures",
+        "compare-results": "set results side by side, never two conventions in one column",
+        "report": "turn an evaluation into one self-contained HTML page",
+    },
 }
+"""The verbs and what each does, by what they are for."""
+VERBS = {verb: what for group in GROUPS.values() for verb, what in group.items()}
 
 
 RESUMING = frozenset(
@@ -57,7 +74,10 @@ _VERBOSE = ("-v", "--verbose")
 
 def overview() -> str:
     """Return the text of ``farfield --help``."""
-    verbs = "\n".join(f"  {verb:<16}{what}" for verb, what in VERBS.items())
+    verbs = "\n".join(
+        "\n".join([f"{title}:", *(f"  {verb:<16}{what}" for verb, what in group.items())])
+        for title, group in GROUPS.items()
+    )
     return (
         "farfield: 3D object detection at long range and in all weather\n\n"
         "examples:\n"
@@ -66,12 +86,12 @@ def overview() -> str:
         "  farfield simulate cirrus-sim data/sim --frames 100\n"
         "  farfield train pointpillars-cirrus-sim -o training.steps=500\n"
         "  farfield score predictions.csv labels.csv --protocol dds --json scores.json\n\n"
-        f"verbs (farfield VERB --help tells more):\n{verbs}\n\n"
+        f"{verbs}\n\n"
         "everywhere:\n"
+        "  VERB --help         what a verb does, in a screen; --help-all: every flag\n"
         "  -v, --verbose       show where an error came from\n"
         "  --version           print the version\n"
-        "  --completion SHELL  print what bash, zsh or fish needs to complete verbs and flags:\n"
-        "                      source <(farfield --completion bash)\n"
+        "  --completion SHELL  complete verbs, flags and names: source <(farfield --completion bash)\n"
     )
 
 
@@ -106,7 +126,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _status(arguments: list[str]) -> int:
     """Exit status of what the words ask for; refusals of the operating system are the caller's to say."""
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
+    if len(arguments) == 2 and arguments[0] == "help":
+        arguments = [arguments[1], "--help"]
+    if not arguments or arguments[0] in ("-h", "--help", "--help-all", "help"):
         print(overview(), end="")
         return 0 if arguments else 2
     if arguments[0] in ("-V", "--version"):
@@ -118,12 +140,15 @@ def _status(arguments: list[str]) -> int:
         return _print_completion(arguments[1:])
     verbose = any(word in _VERBOSE for word in arguments)
     arguments = [word for word in arguments if word not in _VERBOSE]
+    note_command(arguments)
     if not arguments:
         print(overview(), end="")
         return 2
     verb, rest = arguments[0], arguments[1:]
     if verb not in VERBS:
-        _complain(f"farfield: expected a verb, one of {', '.join(VERBS)}; got {verb!r}")
+        from farfield.cli._words import no_verb
+
+        _complain(no_verb(arguments, VERBS))
         return 2
     from farfield.files.outputs import of_command
     from farfield.jobs.process import ended_by_signals, without_torch_folder
@@ -207,7 +232,28 @@ def _print_completion(words: list[str]) -> int:
 
 
 def _run(function: Callable[..., int | None], verb: str, arguments: list[str]) -> int:
+    if {HELP_ALL, *HELP} & set(arguments):
+        from farfield.cli._completion import arguments_of
+
+        print(help_text(verb, function, arguments_of(verb), everything=HELP_ALL in arguments), end="")
+        return 0
     import tyro
 
-    kwargs: dict[str, Any] = {"prog": f"farfield {verb}", "args": arguments}
-    return int(tyro.cli(function, **kwargs) or 0)
+    call: Any = update_wrapper(lambda *args, **kwargs: (args, kwargs), function)  # parses, and does nothing yet
+    with io.StringIO() as printed:
+        try:
+            with redirect_stderr(printed), redirect_stdout(printed):
+                args, kwargs = tyro.cli(call, prog=f"farfield {verb}", args=arguments)
+        except SystemExit:
+            _complain(f"farfield {verb}: {_refusal(verb, printed.getvalue())}")
+            return 2
+    return int(function(*args, **kwargs) or 0)
+
+
+def _refusal(verb: str, printed: str) -> str:
+    """The sentence on words that the parser refused."""
+    from farfield.cli._completion import arguments_of, flags_of
+    from farfield.cli._words import refused_words
+
+    required = [argument for argument in arguments_of(verb) if not argument.option_strings and argument.nargs is None]
+    return refused_words(verb, printed, flags_of(verb), required)

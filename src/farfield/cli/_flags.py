@@ -44,7 +44,12 @@ class FileFlags:
         tables: Folder of nuScenes' or TruckScenes' tables, such as v1.0-mini, where there are several.
         label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
             LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre). Of OpenPCDet's and
-            mmdetection3d's labels lidar or lidar-bottom; decided by the points in the boxes unless given.
+            mmdetection3d's labels lidar or lidar-bottom; decided by the points in the boxes unless given. Of
+            Supervisely's point clouds supervisely (a box's width is x) or cvat (its length is); decided by the longer
+            sides of vehicles and bicycles unless given.
+        label_angles: What rotations in labelCloud's files count, radians or degrees; what a file shows unless given.
+        reader: Change one option of the format's reader that has no flag, as name=value, such as whole_scenes=true or
+            sweeps=5 of nuScenes; may be given several times. `farfield formats NAME` lists them.
     """
 
     mapping: Path | None = None
@@ -53,14 +58,33 @@ class FileFlags:
     point_times: PointTimes = "auto"
     radars: tuple[str, ...] = ()
     tracklets: Literal["kitti", "cvat", "datumaro"] | None = None
-    label_axes: Literal["camera", "lidar", "lidar-bottom"] | None = None
+    label_axes: Literal["camera", "lidar", "lidar-bottom", "supervisely", "cvat"] | None = None
+    label_angles: Literal["radians", "degrees"] | None = None
     size_order: Literal["wlh", "lwh"] | None = None
     tables: str | None = None
+    reader: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE")] = ()
 
     @property
     def options(self) -> dict[str, Any]:
-        """What :func:`farfield.open_dataset` takes of the flags that are set."""
-        return {_OPTION_OF.get(name, name): value for name, value in vars(self).items() if value not in _UNSET}
+        """What :func:`farfield.open_dataset` takes of the flags that are set.
+
+        Raises:
+            ConfigError: If an option of ``reader`` is no name=value, comes twice, or its flag is set too.
+        """
+        own = {
+            _OPTION_OF.get(name, name): value
+            for name, value in vars(self).items()
+            if value not in _UNSET and name != "reader"
+        }
+        if not self.reader:
+            return own
+        from farfield.datasets.reader_options import parsed_options
+
+        further = parsed_options(self.reader)
+        double = next((name for name in further if name in own), None)
+        if double is not None:
+            raise ConfigError(f"--reader: {double} is given by its own flag too")
+        return own | further
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -69,7 +93,15 @@ class FileFlags:
 
     @property
     def cloud_options(self) -> dict[str, Any]:
-        """Those of cloud files, as any reader of such takes them."""
+        """Those of cloud files, as any reader of such takes them.
+
+        Raises:
+            ConfigError: If options of a reader are given.
+        """
+        if self.reader:
+            raise ConfigError(
+                f"--reader {self.reader[0]}: expected a data set, got single clouds, which have no reader"
+            )
         return {name: value for name, value in self.options.items() if name in _OF_CLOUDS}
 
     def open(self, path: Path, **options: Any) -> "Dataset":

@@ -110,6 +110,35 @@ def print_doubts(data: "Dataset", cloud: str | None = None) -> None:
         print(f"warning: {doubt}", file=sys.stderr)
 
 
+_words: list[str] = []
+"""The words of the command that runs, for cards."""
+
+
+def note_command(words: Iterable[str]) -> None:
+    """Keep the words of the command, without ``farfield``, for the cards of what it writes."""
+    _words[:] = words
+
+
+def leave_card(folder: Path, what: str, *sources: "Dataset | Path") -> None:
+    """Write source, licence and command beside derived files, see :mod:`farfield.datasets.cards`.
+
+    Args:
+        folder: Where they stand.
+        what: What they are.
+        *sources: The data sets that they were made of, or their folders.
+    """
+    from farfield.datasets.cards import write_card
+    from farfield.datasets.recognition import recognise
+
+    named = [
+        ((recognise(one) if one.is_dir() else None) or "folder", one)
+        if isinstance(one, Path)
+        else (one.unwrapped.name, one.root)
+        for one in sources
+    ]
+    write_card(folder, what=what, sources=named, command=_words)
+
+
 def would_write(what: str, where: Path | str, much: str = "") -> None:
     """Print it.
 

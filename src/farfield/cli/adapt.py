@@ -8,7 +8,7 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_FILES_SAY, Files, Jobs, names
-from farfield.cli._output import bar, check_outputs, console, would_write
+from farfield.cli._output import bar, check_outputs, console, leave_card, would_write
 from farfield.cli._training_report import BarReport, LineReport
 from farfield.errors import ConfigError
 
@@ -133,6 +133,8 @@ def run(
         report=kind(terminal, folder, 20),
         overwrite=overwrite,
     )
+    roots = [part for part in (*data, source, labels, learn_from) if part is not None]
+    leave_card(folder, f"Weights adapted from {Path(detector).name}, and pseudo labels", *roots)
     print(f"weights: {adapted.weights}\nreport: {adapted.page.resolve()}")
     for row in () if adapted.scores is None else adapted.scores.lines:
         label, annotated, figure, before, after, gain = (" ".join(filter(None, cell)) for cell in row)

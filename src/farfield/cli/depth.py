@@ -7,7 +7,7 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
-from farfield.cli._output import check_outputs, from_data, would_write
+from farfield.cli._output import check_outputs, from_data, leave_card, would_write
 from farfield.vocabulary.counts import count_of
 
 
@@ -90,6 +90,7 @@ def run(
         bulk=jobs.options("writing"),
         overwrite=overwrite,
     )
+    leave_card(out, "Depth maps", dataset)
     print(_said(written.outcome.written, written.outcome.skipped, written.summary))
     if picture is not None and len(dataset):
         _draw(dataset[0], settings, picture)

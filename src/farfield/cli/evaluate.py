@@ -26,6 +26,7 @@ from farfield.vocabulary.counts import count_of
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
     from farfield.detectors import Detector
+    from farfield.detectors.onnx.detector import OnnxDetector
 
 _DONORS = 200
 """Sweeps into which cars are pasted."""
@@ -43,6 +44,7 @@ def run(
     rotate_deg: float = 0.0,
     reading: Reading = AS_THEY_ARE,
     protocol: str | None = None,
+    where: str = "",
     scoring: Scoring = OWN_SCORING,
     boxes: ShownBoxes = OWN_BOXES,
     precision: Literal["auto", "fp32", "bf16", "fp16"] = "auto",
@@ -63,6 +65,7 @@ def run(
       farfield evaluate runs/pointpillars-cirrus-sim data/val --clouds gaussian,uniform --out runs/eval
       farfield evaluate pointpillars-cirrus-sim data/kitti --range-bins-m 0,30,50,80 --region range
       farfield evaluate runs/rtnh-kradar-sim data/kradar-val --protocol kradar --region narrow
+      farfield evaluate runs/second data/val --where 'range_m > 100 and weather == "sleet"'
       farfield evaluate pointpillars-cirrus-sim data/kitti --paste-cars hdl-64e
 
     A line says what its figures are of: detector and data with their fingerprints, cloud, class, number of objects,
@@ -72,7 +75,7 @@ def run(
     anew. What the clock measured stands in timing.json, apart from what was computed.
 
     Args:
-        detector: A bundled detector's name, a run's folder, or a weights file.
+        detector: A bundled detector's name, a run's folder, a weights file, or an exported .onnx file.
         data: The data set; its format is recognised.
         clouds: Which clouds, comma-separated; by default those that suit the detector.
         split: train, val or test, or time-val and its like to cut each sequence in time; all frames unless given.
@@ -80,6 +83,9 @@ def run(
         reading: How the files are read.
         protocol: dds, nuscenes, kitti, kradar, kradar-compat:VARIANT or a registered one; kradar on K-Radar's layout
             and dds on all others unless given. K-Radar's also scores each weather, road and time of day.
+        where: Only frames and boxes that fulfil a condition, such as 'range_m > 100 and weather == "sleet"'; columns:
+            sequence, frame, weather, road, time, label, range_m, bearing_deg, x_m, y_m, z_m, length_m, width_m,
+            height_m, yaw_deg, speed_m_s, and of annotated boxes points, track_id, visibility, occlusion, truncation.
         scoring: How the boxes are scored. All classes that the detector knows have a row too; large_vehicle counts as
             vehicle where no label is given.
         boxes: Which of the detector's boxes count.
@@ -102,9 +108,11 @@ def run(
     from farfield.api import load_detector
     from farfield.evaluation import as_trained, suitable_clouds
     from farfield.evaluation.evaluating import EvaluationOptions, evaluate_clouds
+    from farfield.evaluation.lost import LOST, lost_json
     from farfield.evaluation.record import EVALUATION, PAGE, TIMING, default_folder
     from farfield.figures.tables import class_table
     from farfield.frame.provenance import is_simulated
+    from farfield.frame.where import Where
     from farfield.jobs.folders import held
     from farfield.metrics import PROTOCOLS
     from farfield.metrics.result import figure_names, value_at
@@ -112,6 +120,8 @@ def run(
 
     sources: tuple[Path | str | None, ...] = (detector, data, *reading.paths)
     check_outputs(sources, files={"--json": json}, folders={"--out": out})
+    if where:
+        Where(where)  # says what is wrong with it before anything is read
     opened = reading.open(data, rotate_deg=rotate_deg)
     opened = opened.split(split) if split else opened
     print_doubts(opened)
@@ -123,7 +133,7 @@ def run(
         settings["label"] = scoring.label
     folder = out or default_folder(loaded.name, loaded.digest(), opened)
     check_outputs(sources, folders={"--out": folder})
-    own = {f"{name} of --out": folder / name for name in (EVALUATION, TIMING, PAGE)}
+    own = {f"{name} of --out": folder / name for name in (EVALUATION, LOST, TIMING, PAGE)}
     check_outputs((), files={"--json": json, **own})
     pasting = _pasting(loaded, opened, names(clouds), paste_cars) if paste_cars else None
     if dry_run:
@@ -147,10 +157,12 @@ def run(
         journals=folder,
         overwrite=overwrite,
         settings=settings,
+        where=where,
     )
     with held(folder):
         evaluation = evaluate_clouds(loaded, opened, options)
         evaluation.save(folder)
+        write_json(folder / LOST, lost_json(evaluation.lost))
         if evaluation.timing:  # apart, so that equal evaluations are equal files
             write_json(folder / TIMING, evaluation.timing)
         for name, result in evaluation.results.items():
@@ -165,7 +177,7 @@ def run(
         false_vehicles = _false_vehicles(loaded, pasting, folder) if pasting is not None else None
     for name, measured in evaluation.timing.items():
         print(f"{name}: {measured['median_ms']:.1f} ms a frame from points to boxes (median of {measured['frames']})")
-    print(f"evaluation: {folder / 'evaluation.json'}")
+    print(f"evaluation: {folder / 'evaluation.json'}; farfield worst {folder} lists what was lost")
     if report:
         print(f"report: {page.resolve()}")
     if false_vehicles is not None:
@@ -186,7 +198,7 @@ class _Pasting:
     sensor: str
 
 
-def _pasting(detector: "Detector", opened: "Dataset", clouds: list[str], sensor: str) -> _Pasting:
+def _pasting(detector: "Detector | OnnxDetector", opened: "Dataset", clouds: list[str], sensor: str) -> _Pasting:
     """The sweeps and the cloud, checked before anything is detected."""
     from farfield.errors import ConfigError, DatasetError
     from farfield.evaluation import as_trained, suitable_clouds
@@ -211,7 +223,7 @@ def _pasting(detector: "Detector", opened: "Dataset", clouds: list[str], sensor:
     return _Pasting(data=data, cloud=cloud, sensor=sensor)
 
 
-def _false_vehicles(detector: "Detector", pasting: _Pasting, folder: Path) -> Path:
+def _false_vehicles(detector: "Detector | OnnxDetector", pasting: _Pasting, folder: Path) -> Path:
     from farfield.evaluation.pasted_cars import field_of, try_on_donors
     from farfield.pages.false_vehicles_page import headline, write_false_vehicles
     from farfield.simulation.overlay import LIDARS

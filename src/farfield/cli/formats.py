@@ -24,13 +24,15 @@ def run(
     examples:
       farfield formats
       farfield formats kitti
+      farfield formats velodyne
       farfield formats --json -
 
     Data sets come first, then labels, results and single clouds. "real files" says on what a reader was tried; "no real
     file seen" means that it follows the format's description alone: look at its first frames with `farfield show`.
 
     Args:
-        name: Show all that is known of this one.
+        name: Show all that is known of this one, or of those that a word stands for: a sensor (velodyne), a suffix
+            (las), a data set, a tool.
         json: Also write everything as JSON into this file; - prints it too.
     """
     from farfield.inspection.formats import FormatEntry, format_catalogue
@@ -39,6 +41,8 @@ def run(
     catalogue = format_catalogue()
     if name:
         matches = catalogue.find(name)
+        if len(matches) > 1:
+            print(f"{name}: {', '.join(dict.fromkeys(entry.name for entry in matches))}\n")
         for entry in matches:
             _print_details(_details(entry) if isinstance(entry, FormatEntry) else _form_details(entry))
         tree: object = [asdict(entry) for entry in matches]
@@ -98,6 +102,7 @@ def _details(entry: "FormatEntry") -> dict[str, str]:
         "saved in place": "yes, by farfield annotate" if entry.saved else "no: labels are written beside",
         "scored by": entry.scored,
         "extra": fact_words.get("extra", "") or "none",
+        "--reader": ", ".join(entry.options),
         "smallest download": fact_words.get("download") or "not known",
         "licence of the data": fact_words.get("licence") or "not known",
         "described in": fact_words.get("source", ""),

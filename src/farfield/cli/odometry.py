@@ -1,13 +1,16 @@
 """``farfield odometry``: poses for drives that come without."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading
-from farfield.cli._output import check_outputs, from_data, would_write
+from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, Jobs, Reading, ReadingFlags
+from farfield.cli._output import check_outputs, from_data, would_write, write_json
 from farfield.vocabulary.counts import count_of
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
 
 
 def run(
@@ -22,6 +25,7 @@ def run(
     reach_m: float = 120.0,
     backward: bool = True,
     drives: tuple[str, ...] = (),
+    truth: Path | None = None,
     reading: Reading = AS_THEY_ARE,
     picture: Path | None = None,
     overwrite: bool = False,
@@ -35,6 +39,7 @@ def run(
       farfield odometry Cirrus_dataset1 --cloud uniform --out runs/uniform --picture runs/uniform/track.png
       farfield odometry kradar/ --drives 1 2 --workers 2
       farfield odometry velodyne_points/data --turning counterclockwise --step-s 0.1036
+      farfield odometry kitti_raw --truth oxts_poses
       farfield track predictions.csv --data Cirrus_dataset1 --poses runs/odometry-Cirrus_dataset1 --out tracks.csv
 
     Writes poses/DRIVE.csv, odometry.json and odometry.html, never into the data. Everything that opens data takes
@@ -52,6 +57,8 @@ def run(
         reach_m: Farther points are left out.
         backward: Place the sweeps backwards too, which tells the drift and takes as long again.
         drives: Only these.
+        truth: Known poses to compare with, as `farfield odometry` writes them; those of the data unless given. Absolute
+            errors (ATE, after a rigid alignment) and relative ones (RPE) by step and length stand in accuracy.json too.
         reading: How the files are read.
         picture: SVG, PNG or JPEG of the tracks from above to write.
         overwrite: Forget what was done before.
@@ -62,6 +69,7 @@ def run(
     from farfield.figures.style import check_picture
     from farfield.files.atomic import readable
     from farfield.jobs.folders import held
+    from farfield.odometry.accuracy import accuracy_json, against_drive
     from farfield.odometry.drives import SweepSettings, odometry
     from farfield.odometry.odometry import OdometrySettings
     from farfield.pages.odometry_page import write_odometry
@@ -83,6 +91,7 @@ def run(
         what = f"the poses of {count_of(len(opened), 'sweep')} of {count_of(count, 'drive')}"
         would_write(what, folder, from_data(opened))
         return 0
+    known_drives = {drive.name: drive for drive in (_known(reading, data, truth) if truth else opened).drives()}
     with held(folder):
         tracks = odometry(
             opened,
@@ -94,6 +103,16 @@ def run(
             bulk=jobs.options("placing drives"),
         )
         write_odometry(folder, tracks, title=f"Odometry of {name}", picture=picture)
+        accuracies = {
+            track.name: against_drive(track.table, known_drives[track.name])
+            for track in tracks
+            if track.name in known_drives
+        }
+        if truth is not None and not any(accuracies.values()):
+            raise ConfigError(f"--truth: expected poses of three frames or more of these drives, found none in {truth}")
+        if any(accuracies.values()):
+            trees = {key: accuracy_json(value) for key, value in accuracies.items() if value is not None}
+            write_json(folder / "accuracy.json", trees)
     for track in tracks:
         drift = track.drift
         known_drift = "drift not known"
@@ -104,5 +123,12 @@ def run(
             f"{track.name}: {count_of(len(track.table), 'sweep', spec=',')}, {track.way_m:,.1f} m, {known_drift}{clock}"
         )
         print("".join(f"  note: {finding}\n" for finding in track.findings), end="")
+        if accuracies.get(track.name) is not None:
+            print("".join(f"  {line}\n" for line in str(accuracies[track.name]).splitlines()), end="")
     print(f"poses: {(folder / 'poses').resolve()}\nreport: {(folder / 'odometry.html').resolve()}")
     return 0
+
+
+def _known(reading: ReadingFlags, data: Path, truth: Path) -> "Dataset":
+    """The data set with the known poses."""
+    return reading.open(data, poses=truth)

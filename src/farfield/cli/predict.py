@@ -10,7 +10,7 @@ import tyro
 from tyro.conf import Positional
 
 from farfield.cli._flags import ALL_CORES, AS_THEY_ARE, OWN_BOXES, Jobs, Reading, ReadingFlags, ShownBoxes
-from farfield.cli._output import check_outputs, print_doubts, would_write
+from farfield.cli._output import check_outputs, leave_card, print_doubts, would_write
 from farfield.vocabulary.counts import count_of
 
 if TYPE_CHECKING:
@@ -26,6 +26,9 @@ _WORDS = {
     "nuscenes": " as nuScenes' results",
     "argoverse2": " as a submission to Argoverse 2",
     "waymo": " as Waymo's Objects",
+    "kradar": " as K-Radar's kit writes them",
+    "openpcdet": " as OpenPCDet's texts",
+    "mmdetection3d": " as mmdetection3d's JSON",
 }
 
 
@@ -34,7 +37,10 @@ def run(
     files: Positional[tuple[Path, ...]],
     *,
     out: Path | None = None,
-    format: Literal["boxes-csv", "kitti", "nuscenes", "argoverse2", "waymo"] | None = None,
+    to: Annotated[
+        Literal["boxes-csv", "kitti", "nuscenes", "argoverse2", "waymo", "kradar", "openpcdet", "mmdetection3d"] | None,
+        tyro.conf.arg(aliases=["--format"]),
+    ] = None,
     cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     boxes: ShownBoxes = OWN_BOXES,
     rotate_deg: float = 0.0,
@@ -54,18 +60,24 @@ def run(
       farfield predict pointpillars-cirrus-sim Cirrus_dataset1 --cloud uniform --out uniform.csv --picture first.png
       farfield predict pointpillars-cirrus-sim argoverse2/val --out detections.feather
       farfield predict pointpillars-cirrus-sim own --classes vehicle:Car,pedestrian --score-threshold 0.3
-      farfield predict pointpillars-cirrus-sim data/kitti --out results --format kitti
+      farfield predict pointpillars-cirrus-sim data/kitti --out results --to kitti
+      farfield predict pointpillars-cirrus-sim nuscenes --out results.json --to nuscenes
+      farfield predict rtnh-kradar-sim data/kradar --out results --to kradar
 
-    `farfield score --format` reads each of them. Interrupted with --out, the same command goes on where it stopped.
+    `farfield score --format` reads each of them. What a form does not hold is said before anything is written.
+    Interrupted with --out, the same command goes on where it stopped.
 
     Args:
-        detector: A bundled detector's name, a run's folder, or a weights file.
+        detector: A bundled detector's name, a run's folder, a weights file, or an exported .onnx file.
         files: Clouds (.pcd, .ply, .bin, .npy, .npz, .xyz, .las, .laz, .ffcloud), or one data set's folder.
-        out: Where to write: a file ending in .csv, nuScenes' .json, Argoverse 2's .feather, Waymo's .bin, or with
-            --format kitti a folder; CSV is printed unless given.
-        format: boxes-csv, kitti (FRAME.txt a frame, in a folder for each of several sequences; boxes in the camera),
-            nuscenes (one JSON; boxes in the world where poses are known), argoverse2 or waymo (submissions; boxes in
-            the vehicle's coordinates, frames named by their stamps); what the suffix of --out says unless given.
+        out: Where to write: a file ending in .csv, nuScenes' .json, Argoverse 2's .feather, Waymo's .bin, or a folder
+            with --to kitti, kradar, openpcdet or mmdetection3d; CSV is printed unless given.
+        to: What to write, by the tool that takes it; what the suffix of --out says unless given: boxes-csv, kitti
+            (FRAME.txt a frame, in a folder for each of several sequences; boxes in the camera), nuscenes (one JSON of
+            samples by their tokens, boxes in the world: of data in its schema alone; by its suffix alone .json takes
+            any frames under their own names), argoverse2 or waymo (submissions; boxes in the vehicle's coordinates,
+            frames named by their stamps), kradar (one score cut of K-Radar's kit: all and each condition), openpcdet
+            (its KITTI texts) or mmdetection3d (its inferencer's JSON a frame).
         cloud: Which of a data set's clouds; the first that suits the detector unless given.
         boxes: Which boxes are written: those that load_detector gives with the same settings. Without
             --score-threshold the weights' own threshold counts, and pictures leave out boxes below 0.3.
@@ -82,14 +94,14 @@ def run(
     """
     from farfield.api import load_detector
     from farfield.datasets.convert import check_apart
-    from farfield.datasets.result_files import ResultWriter, result_format, rows_of
+    from farfield.datasets.result_files import FOLDERS, ResultWriter, result_format, rows_of
     from farfield.errors import ConfigError
     from farfield.evaluation import plan_detection, suitable_clouds
     from farfield.files.boxes_csv import format_boxes_csv_parts
     from farfield.jobs.folders import held
 
-    chosen_format = result_format(out, format)
-    as_folder = chosen_format == "kitti"
+    chosen_format = result_format(out, to)
+    as_folder = chosen_format in FOLDERS
     check_outputs(
         (*files, detector, *reading.paths),
         files={"--out": None if as_folder else out, "--picture": picture},
@@ -111,16 +123,22 @@ def run(
         raise ConfigError(f"--reference: expected {references}, got {reference!r}")
     shown = prepared.task.frames if reference == view.reference else frames
     prepared = prepared if shown is prepared.task.frames else chosen(in_own=True)
+    strict = to is not None
+    results = ResultWriter(chosen_format, shown, frames.keys, loaded.kind, loaded.class_names, strict)
+    if out is not None:
+        results.check()
+        print("".join(f"{loss}\n" for loss in results.losses()), end="")
     if dry_run:
         shown[0].cloud(cloud or suitable_clouds(loaded.info, shown[0])[0])  # reads it, or says why it cannot
         would_write(f"the boxes of {count_of(len(frames), 'frame')} as {chosen_format}", out or "the output")
         return 0
-    with nullcontext() if out is None else held(out, file=chosen_format != "kitti"):
+    with nullcontext() if out is None else held(out, file=not as_folder):
         predictions = _CountedPredictions(frames.keys, prepared.detections())
         if out is not None and journal is not None:
-            results = ResultWriter(chosen_format, shown, frames.keys, loaded.kind)
             results.write(out, predictions)
             journal.unlink(missing_ok=True)
+            if chosen_format == "kitti":
+                leave_card(out, f"Boxes that {Path(detector).name} predicted", frames)
             print("".join(f"note: {note}\n" for note in results.notes), end="")
             least = loaded.config.score_threshold
             print(

@@ -25,7 +25,19 @@ def run(
             "tracking,nuscenes-tracking}"
         ),
     ] = "dds",
-    format: Literal["boxes-csv", "kitti", "kitti-tracking", "nuscenes", "argoverse2", "waymo"] = "boxes-csv",
+    format: Literal[
+        "boxes-csv",
+        "kitti",
+        "kitti-tracking",
+        "nuscenes",
+        "argoverse2",
+        "waymo",
+        "kradar",
+        "openpcdet",
+        "mmdetection3d",
+    ] = "boxes-csv",
+    axes: Literal["exchanged", "exchanged-turned", "camera", "lidar"] | None = None,
+    class_names: Annotated[str, tyro.conf.arg(metavar="NAME,NAME,...")] = "",
     scoring: Scoring = OWN_SCORING,
     conditions: str | None = None,
     reference: str = "",
@@ -43,6 +55,9 @@ def run(
       farfield score detections.feather labels.feather --protocol argoverse2 --format argoverse2 --range-bins-m 0,150
       farfield score predictions.bin ground_truths.bin --protocol waymo --format waymo
       farfield score predictions.bin ground_truths.bin --protocol waymo-let --format waymo
+      farfield score test_kitti/epoch_10_total/0.3 test_kitti/epoch_10_total/0.3 --protocol kradar --format kradar
+      farfield score output/eval/final_result kitti --protocol kitti --format openpcdet --label Car
+      farfield score outputs/preds kitti --format mmdetection3d --class-names Pedestrian,Cyclist,Car
       farfield score tracks/ label/ --protocol tracking --format kitti-tracking --label Car --iou 0.25
       farfield score predictions.csv labels.csv --protocol kradar --conditions K-Radar --label-version v2.1
       farfield score predictions.csv labels.csv --protocol kradar-compat:revised_as_shipped@0.3 --label-version v2.0
@@ -68,7 +83,14 @@ def run(
             asf_narrow, asf_wide; tracking (MOTA, sAMOTA, HOTA, identity F1 of tracks in 3D), nuscenes-tracking
             (AMOTA, AMOTP). A protocol of an
             installed package by its name.
-        format: Format of both; argoverse2 and waymo are their leaderboards' submissions, and labels in the same form.
+        format: Format of both; argoverse2 and waymo are their leaderboards' submissions, and labels in the same form;
+            kradar the folders of K-Radar's kit, predictions, labels and conditions in one; openpcdet its KITTI texts;
+            mmdetection3d its inferencer's JSON or its KITTI texts.
+        axes: Of --format kradar: exchanged (x y z hold left, up, ahead, and rotation_y the yaw, as the kit ships),
+            exchanged-turned (the same with yaw - 90 degrees), camera (KITTI's own) or lidar (x y z ahead, left, up);
+            decided from the boxes and said unless given, or refused where they do not decide it.
+        class_names: Of --format mmdetection3d: the model's classes in the order of their numbers, where its files do
+            not name them.
         scoring: How the boxes are scored; without a label every class is, each for itself, the most annotated one
             first.
         conditions: For kradar: a CSV with the columns sequence, road, time, weather; a K-Radar tree with its
@@ -86,7 +108,15 @@ def run(
     if format != "boxes-csv" and chosen.default("region") == "window":
         settings.setdefault("region", "none")  # KITTI's ranges are a camera's
     detections = replace(
-        read_detections(predictions, labels, format=format, reference=reference, **reading.options),
+        read_detections(
+            predictions,
+            labels,
+            format=format,
+            reference=reference,
+            axes=axes or "",
+            class_names=tuple(name.strip() for name in class_names.split(",") if name.strip()),
+            **reading.options,
+        ),
         detector=predictions.name,
         data=labels.name,
     )

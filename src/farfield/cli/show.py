@@ -21,6 +21,7 @@ def run(
     *,
     frame: int = 0,
     radar: bool = False,
+    camera: str | None = None,
     detector: str = "",
     cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     boxes: ShownBoxes = OWN_BOXES,
@@ -32,6 +33,7 @@ def run(
     examples:
       farfield show Cirrus_dataset1
       farfield show data/kradar --radar --frame 12
+      farfield show data/kitti --camera image_2
       farfield show data/sim --detector pointpillars-cirrus-sim --score-threshold 0.3 --out frame.png
 
     Args:
@@ -39,7 +41,9 @@ def run(
         frame: Number of the frame, counted from 0.
         radar: Draw the radar's power instead of a cloud: of a tesseract, a cube, a polar map or the store's cells, else
             the radar's points.
-        detector: A bundled detector's name, a run's folder, or a weights file, whose boxes are drawn too.
+        camera: Draw the picture of this camera instead, with the boxes projected into it, and the boxes that were
+            annotated in it dotted.
+        detector: A bundled detector's name, a run's folder, a weights file or an .onnx file, whose boxes are drawn too.
         cloud: Which cloud; the first, or the first that suits the detector, unless given.
         boxes: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
         reading: How the files are read.
@@ -65,12 +69,42 @@ def run(
         shown = as_trained(opened, loaded.info)[frame]
         cloud = cloud or suitable_clouds(loaded.info, shown)[0]
         predicted = loaded.with_cloud(cloud)(shown)
-    figure = _drawn(shown, predicted, radar, cloud, boxes.score_threshold)
+    if camera is None:
+        figure = _drawn(shown, predicted, radar, cloud, boxes.score_threshold)
+    else:
+        figure = _pictured(shown, camera, predicted, boxes.score_threshold)
     with held(path, file=True):
         save_figure(path, figure, dpi=150)
     print("simulated data\n" if is_simulated(opened.root) else "", end="")
-    print(f"{figure.axes[0].get_title(loc='left')}\npicture: {path.resolve()}")
+    title = figure.axes[0].get_title(loc="left") or figure.axes[0].get_title()
+    print(f"{title}\npicture: {path.resolve()}")
     return 0
+
+
+def _pictured(shown: "Frame", camera: str, predicted: "Boxes | None", least: float | None) -> "Figure":
+    from farfield.errors import ConfigError
+    from farfield.evaluation.report_data import shown_predictions
+    from farfield.figures.camera import camera_picture
+    from farfield.frame.image_marks import image_marks
+    from farfield.vocabulary.counts import count_of
+    from farfield.vocabulary.scores import SHOWN_SCORE
+
+    if camera not in shown.images:
+        raise ConfigError(
+            f"--camera: expected one of {', '.join(shown.images) or 'none, there is no image'}, got {camera!r}"
+        )
+    marks = image_marks(shown)
+    marks = marks if marks is not None and marks.camera == camera else None
+    boxes = shown_predictions(predicted, SHOWN_SCORE if least is None else least)[0]
+    of_image = "" if marks is None else f", {count_of(len(marks), 'box', 'boxes')} of the image dotted"
+    return camera_picture(
+        shown.images[camera],
+        shown.cameras.get(camera),
+        annotated=shown.boxes,
+        predicted=boxes,
+        marks=marks,
+        title=f"{shown.sequence} {shown.frame_id}, {camera}{of_image}".strip(),
+    )
 
 
 def _drawn(shown: "Frame", predicted: "Boxes | None", radar: bool, cloud: str | None, least: float | None) -> "Figure":

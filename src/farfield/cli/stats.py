@@ -22,6 +22,7 @@ def run(
     out: Path | None = None,
     name: str = "",
     sweeps: int = 20,
+    where: str = "",
     jobs: Jobs = ALL_CORES,
     format: str | None = None,
     reading: Reading = AS_THEY_ARE,
@@ -32,6 +33,7 @@ def run(
     examples:
       farfield stats Cirrus_dataset1
       farfield stats K-Radar --labels v2.1 --out runs/kradar
+      farfield stats K-Radar --where 'weather == "sleet" and range_m > 50'
       farfield stats KRadar_revised_visibility
       farfield stats dir_1to20 --roots dir_2to5 dir_21to37 dir_38to58
 
@@ -42,13 +44,17 @@ def run(
         out: Folder to write into; runs/stats-NAME unless given.
         name: What to call the data set; its folder's name unless given.
         sweeps: Number of frames whose clouds and radar are read, spread evenly; 0 reads annotations alone.
+        where: Only frames and objects that fulfil a condition, such as 'range_m > 100 and weather == "sleet"'; columns
+            as of farfield evaluate, points only where the labels count them.
         jobs: Who does the work.
         format: Format, if it is not to be recognised.
         reading: How the files are read.
         json: Write what is in statistics.json into this file too; - prints it.
     """
+    from farfield.datasets.maps.where import fulfilling
     from farfield.errors import ConfigError
     from farfield.files.atomic import readable
+    from farfield.frame.where import Where
     from farfield.pages.dataset_pages import write_statistics
 
     if sweeps < 0:
@@ -56,7 +62,10 @@ def run(
     called = name or readable(path.resolve().name)
     folder = out or Path("runs") / f"stats-{called}".replace(" ", "_")
     check_outputs((path, *reading.paths), files={"--json": json}, folders={"--out": folder})
-    dataset = reading.open(path, format=format)
+    if where:
+        Where(where)  # says what is wrong with it before anything is read
+    dataset = fulfilling(reading.open(path, format=format), where)
+    called += f" where {where}" if where else ""
     figures = _count(dataset, called, path, sweeps, jobs)
     page = write_statistics(folder, figures)
     _print(figures)

@@ -79,6 +79,7 @@ def run(
     from farfield.tracking import join_settings, join_tracks, track, with_options
     from farfield.tracking import preset as preset_of
     from farfield.tracking.offline import smooth_tracks, track_scores, with_track_score
+    from farfield.tracking.reasons import reasons_for_few
     from farfield.tracking.timeline import with_drives
     from farfield.tracking.writing import write_kitti_tracks, write_nuscenes_tracks, write_tracks_csv
 
@@ -136,6 +137,8 @@ def run(
     if picture is not None:
         write_trails(picture, tracks)
     print("".join(f"note: {note}\n" for note in tracks.notes), end="")
+    for reason in reasons_for_few(predictions, tracks, settings):
+        print(f"few tracks: {reason}", file=sys.stderr)
     boxes = sum(map(len, tracks.boxes.values()))
     names = {
         (key[0], name) for key, part in tracks.boxes.items() if part.track_id is not None for name in part.track_id

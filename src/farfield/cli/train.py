@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from farfield.cli._output import check_outputs, console, would_write
+from farfield.cli._output import check_outputs, console, leave_card, would_write
 from farfield.cli._training_report import BarReport, LineReport
 from farfield.vocabulary.counts import count_of
 
@@ -60,6 +60,8 @@ def run(
     report = kind(terminal, folder, training.log_every_steps, _following(folder, settings))
     if not dry_run:
         plan.run(report)
+        data = settings.data.values() if isinstance(settings.data, Mapping) else [settings.data]
+        leave_card(folder, "Weights of a detector, and its training", *(Path(part.path) for part in data))
         return 0
     plan.announce(report)
     for line in plan.dry_run():

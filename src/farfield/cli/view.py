@@ -1,12 +1,16 @@
 """``farfield view``."""
 
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
-from farfield.cli._flags import AS_THEY_ARE, Reading, names
+from farfield.cli._flags import AS_THEY_ARE, Reading, ReadingFlags, names
 from farfield.cli._output import check_outputs
+
+if TYPE_CHECKING:
+    from farfield.datasets import Dataset
 
 
 def run(
@@ -18,6 +22,7 @@ def run(
     protocol: str = "",
     threshold: float = 0.1,
     frame: str = "",
+    where: str = "",
     reading: Reading = AS_THEY_ARE,
     reference: str = "",
     html: Path | None = None,
@@ -31,6 +36,7 @@ def run(
       farfield view Cirrus_dataset1 --detector pointpillars-cirrus-sim
       farfield view data/kradar --detector runs/rtnh,runs/second --frame 33
       farfield view data/drives --predictions tracks.csv detections.csv --no-browser
+      farfield view data/kradar --where 'weather == "sleet" and range_m > 50'
       farfield view data/drives --html two.html --frame 3,17
 
     Without a path it shows two small simulated frames, one of each kind of world. It listens on 127.0.0.1 only; over
@@ -38,25 +44,33 @@ def run(
 
     Args:
         data: Folder of a data set or of clouds; its format is recognised.
-        detector: Bundled names, runs' folders or weights files, comma-separated: they run on the frames that are shown.
+        detector: Bundled names, runs' folders, weights or .onnx files, comma-separated: they run on the frames shown.
         predictions: Files of detections or tracks to show; sequence and frame pair them with the data.
         format: Format of the predictions.
         protocol: By which predictions are matched with the truth; the data set's own unless given.
         threshold: Least score of a detector's boxes.
         frame: Frame to begin with: its number, or sequence/frame; with --html several, comma-separated.
+        where: Only frames and annotated objects that fulfil a condition, such as 'range_m > 100 and label ==
+            "vehicle"'; columns as of farfield evaluate.
         reading: How the data set's files are read.
         reference: Coordinates in which to show: K-Radar's os2-64 (as it is) or radar.
         html: Write the frames into one HTML file that opens from disk, and end; at most 20 frames.
         port: Port to listen on; the first free one from 8877 on unless given.
         browser: Open the browser; never over SSH.
     """
+    from farfield.errors import ConfigError
+    from farfield.frame.where import Where
     from farfield.studio.options import DatasetOpener, StudioSettings
     from farfield.studio.serving.run import serve
 
     if data is None:
         reading.check_unused("a data set")
     check_outputs((data, *predictions, *names(detector), *reading.paths), files={"--html": html})
-    opening = DatasetOpener(data, reading.open, reference=reference)
+    if where:
+        Where(where)  # says what is wrong with it before anything is read
+        if data is None:
+            raise ConfigError("--where: expected a data set, whose frames and objects it chooses")
+    opening = DatasetOpener(data, partial(_open, reading, where) if where else reading.open, reference=reference)
     settings = StudioSettings(
         mode="view",
         title=opening.title,
@@ -75,3 +89,10 @@ def run(
         print(f"written: {html} ({sized(html.stat().st_size)})")
         return 0
     return serve(opening, settings, port=port, browser=browser)
+
+
+def _open(reading: ReadingFlags, where: str, path: Path, **options: Any) -> "Dataset":
+    """The data set with the frames and objects that fulfil the condition."""
+    from farfield.datasets.maps.where import fulfilling
+
+    return fulfilling(reading.open(path, **options), where)

@@ -1,6 +1,6 @@
 """aiMotive's multimodal data set (Matuszka et al., 2023): LiDAR, two radars, four cameras; needs the extra ``las``.
 
-``<session>/dynamic/raw-revolutions/frame_<number>.laz``, ``dynamic/box/3d_body/frame_<number>.json``,
+``<session>/dynamic/raw-revolutions/frame_<number>.laz`` or ``.las``, ``dynamic/box/3d_body/frame_<number>.json``,
 ``sensor/radar/<name>/<name>_<number>.json``, ``sensor/camera/<name>/<name>_<number>.jpg`` and
 ``sensor/calibration/calibration.json``; sessions lie in ``{train,val}/<condition>/``. Clouds and boxes stand in the
 body's coordinates, which are the frame's.
@@ -51,7 +51,7 @@ def sessions_in(root: Path) -> list[Path]:
 
 def is_aimotive(root: Path) -> bool:
     """Whether a folder holds sessions of aiMotive's data set, with a cloud or a file of boxes."""
-    patterns = [pattern_in_any_case(f"{CLOUDS}/frame_*.laz"), f"{BOXES}/frame_*.json"]
+    patterns = [*(pattern_in_any_case(f"{CLOUDS}/frame_*{end}") for end in (".laz", ".las")), f"{BOXES}/frame_*.json"]
     return any(next(root.glob(prefix + pattern), None) is not None for prefix in _DEPTHS for pattern in patterns)
 
 
@@ -61,7 +61,7 @@ class _Session:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.name = root.resolve().name
-        self.clouds = _numbered(root / CLOUDS, ".laz")
+        self.clouds = {**_numbered(root / CLOUDS, ".laz"), **_numbered(root / CLOUDS, ".las")}  # unpacked wins
         self.boxes = _numbered(root / BOXES, ".json")
         self.numbers = sorted({*self.clouds, *self.boxes})
         self.radars = {path.name: _numbered(path, ".json") for path in _folders(root / "sensor/radar")}
@@ -157,7 +157,7 @@ class Aimotive(Dataset):
         self.sessions = [_Session(path) for path in sessions_in(self.root)]
         self._index = [(session, number) for session in self.sessions for number in session.numbers]
         if not self._index:
-            expected = f"<session>/{CLOUDS}/frame_*.laz or <session>/{BOXES}/frame_*.json"
+            expected = f"<session>/{CLOUDS}/frame_*.laz, or .las, or <session>/{BOXES}/frame_*.json"
             raise DatasetError(f"{self.root}: expected {expected}, found none")
         names = [session.name for session in self.sessions]
         double = next((name for name in names if names.count(name) > 1), None)

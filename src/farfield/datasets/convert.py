@@ -18,6 +18,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.cirrus import CirrusWriter
 from farfield.datasets.cirrus.writer import CIRRUS_HOLDS
 from farfield.datasets.cloud_caches import convert_to_cache
+from farfield.datasets.coco import COCO_HOLDS, write_coco
 from farfield.datasets.kitti.object import KITTI_HOLDS, KittiWriter
 from farfield.datasets.kradar.store import (
     JOURNAL_NAME,
@@ -34,8 +35,11 @@ from farfield.datasets.openpcdet import OPENPCDET_HOLDS, OpenPcdetWriter
 from farfield.datasets.splits import SPLIT_SHARES
 from farfield.datasets.tool_export import (
     CVAT_HOLDS,
+    LABELCLOUD_HOLDS,
     OPENLABEL_HOLDS,
+    SUPERVISELY_HOLDS,
     SUSTECHPOINTS_HOLDS,
+    XTREME1_HOLDS,
     AnnotationTool,
     BoxSource,
     ToolExport,
@@ -62,8 +66,12 @@ Target = Literal[
     "openlabel",
     "sustechpoints",
     "cvat",
+    "supervisely",
+    "xtreme1",
+    "labelcloud",
     "nuscenes",
     "t4",
+    "coco",
     "cache",
     "radar-store",
 ]
@@ -86,8 +94,12 @@ CAPACITIES: Mapping[str, Capacity] = {
     "openlabel": OPENLABEL_HOLDS,
     "sustechpoints": SUSTECHPOINTS_HOLDS,
     "cvat": CVAT_HOLDS,
+    "supervisely": SUPERVISELY_HOLDS,
+    "xtreme1": XTREME1_HOLDS,
+    "labelcloud": LABELCLOUD_HOLDS,
     "nuscenes": NUSCENES_HOLDS,
     "t4": T4_HOLDS,
+    "coco": COCO_HOLDS,
     "cache": CACHE_HOLDS,
     "radar-store": STORE_HOLDS,
 }
@@ -117,7 +129,8 @@ def convert(
         dataset: The source.
         target: Folder to write into; for ``boxes-csv`` also a file ending in ``.csv``; for ``cache`` None.
         to: ``"kitti"``, ``"openpcdet"``, ``"cirrus"``, ``"boxes-csv"``, ``"openlabel"``, ``"sustechpoints"``,
-            ``"cvat"``, ``"nuscenes"``, ``"t4"``, ``"cache"`` or, of K-Radar, ``"radar-store"``.
+            ``"cvat"``, ``"supervisely"``, ``"xtreme1"``, ``"labelcloud"``, ``"nuscenes"``, ``"t4"``, ``"cache"`` or, of
+            K-Radar, ``"radar-store"``.
         boxes: Which boxes to label: the frame's own or its annotation's ``full_boxes``.
         cloud: Which cloud is written (KITTI's velodyne, Cirrus's Gaussian files...); None takes the first.
         overwrite: Write everything anew.
@@ -152,6 +165,12 @@ def convert(
     if to != "boxes-csv" or target.suffix != ".csv":
         check_file_names(dataset, to)
     _check_clouds(dataset, to)
+    if to == "coco":
+        if target.suffix != ".json" or target.is_dir():
+            raise ConfigError(f"{target}: expected the name of a file ending in .json with to='coco'")
+        with held(target, file=True):
+            write_coco(dataset, target)
+        return Outcome(written=1)
     if to == "boxes-csv" and target.suffix == ".csv":  # one file of labels is written in seconds: nothing to resume
         unit = Unit(target.name, parameters=(target.name, range(len(dataset))))
         with held(target, file=True):
@@ -167,7 +186,7 @@ def convert(
             _finish_numbered(dataset, target, image_sets)
         if to == "kitti":
             _finish_kitti(dataset, target)
-        if isinstance(work, SchemaExport):
+        if isinstance(work, SchemaExport | ToolExport):
             work.finish()
     return outcome
 
@@ -304,7 +323,7 @@ def check_file_names(dataset: Dataset, to: str) -> None:
     if to not in ("boxes-csv", "nuscenes", "t4", *get_args(AnnotationTool)):
         return
     names: list[tuple[str, ...]] = [(sequence,) for sequence in dict.fromkeys(dataset.sequences)]
-    names += list(dict.fromkeys(dataset.keys)) if to in ("sustechpoints", "cvat") else []
+    names += list(dict.fromkeys(dataset.keys)) if to in get_args(AnnotationTool) and to != "openlabel" else []
     name_of_file: dict[tuple[str, ...], tuple[str, ...]] = {}
     for name in names:
         file = tuple(file_name(part).casefold() for part in name)
@@ -423,8 +442,7 @@ def _finish_numbered(dataset: Dataset, target: Path, image_sets: Mapping[str, st
 def _finish_kitti(dataset: Dataset, target: Path) -> None:
     """Say in which axes the labels stand."""
     first = dataset[0]
-    named = next((name for name in first.cameras if name in first.images), next(iter(first.cameras), ""))
-    write_coordinates(target / "training" / "label_2", camera_words(named, first.reference))
+    write_coordinates(target / "training" / "label_2", camera_words(first.front_camera or "", first.reference))
 
 
 def _image_sets(dataset: Dataset) -> dict[str, str]:
@@ -484,13 +502,13 @@ def _own_times(dataset: Dataset) -> list[int]:
 
 
 def _as_cirrus(frame: Frame, time_ns: int, cloud: str | None) -> Frame:
-    """Give the chosen cloud the place of the Gaussian sweep; the first image becomes the camera's."""
+    """Give the chosen cloud the place of the Gaussian sweep; the image ahead becomes the camera's."""
     clouds = dict.fromkeys(frame.clouds)
     if cloud is not None or "gaussian" not in clouds:
         chosen = {"gaussian": frame.cloud(cloud)}
     else:
         chosen = {name: frame.clouds[name] for name in ("gaussian", "uniform") if name in clouds}
-    camera = next(iter(frame.images), None)
+    camera = frame.front_camera if frame.front_camera in frame.images else next(iter(frame.images), None)
     timed = frame.time_ns is not None  # made-up times are the frame's alone
     return replace(
         frame,

@@ -1,11 +1,12 @@
-"""Read point cloud tasks as CVAT exports them: Datumaro, KITTI raw with tracklets, Supervisely.
+"""Read point cloud tasks as CVAT exports them: Datumaro, KITTI raw with tracklets.
+
+Its third form, "Sly Point Cloud", is read as what it is: :mod:`farfield.datasets.supervisely`.
 
 A root is one task or holds tasks::
 
     annotations/*.json, point_clouds/**/*.pcd                  Datumaro
     tracklet_labels.xml, velodyne_points/data/*.pcd or *.bin   KITTI raw, as its authors publish drives, too;
                                                                frame_list.txt beside it names each number's sweep
-    ann/<cloud file>.json, pointcloud/*.pcd                    Supervisely
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +18,7 @@ import numpy as np
 
 from farfield.datasets.base import Dataset
 from farfield.datasets.cloud_reading import CloudReading
-from farfield.datasets.labels.json_labels import DatumaroLabels, SuperviselyLabels, annotation_of
+from farfield.datasets.labels.json_labels import DatumaroLabels, annotation_of
 from farfield.datasets.labels.tracklet_labels import TrackletLabels
 from farfield.datasets.labels.tracklet_reading import (
     FRAME_LIST,
@@ -30,7 +31,6 @@ from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
 from farfield.files.datumaro import parse_datumaro
 from farfield.files.point_times import PointTimes
-from farfield.files.supervisely import parse_supervisely
 from farfield.files.tracklets import parse_tracklets
 from farfield.frame import Annotation, Frame, Lazy, Sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
@@ -41,26 +41,12 @@ ByFrame = Mapping[str, tuple[Cuboid, ...]]
 
 @dataclass(frozen=True)
 class CvatTask:
-    """One task: its folder, its clouds, and the label files (one for all clouds, or one a cloud)."""
+    """One task: its folder, its clouds, and its label files."""
 
     folder: Path
     clouds: tuple[Path, ...]
     labels: tuple[Path, ...]
     parse: Callable[[bytes, Path], tuple[Cuboid, ...]]
-
-    def label_files(self, index: int) -> tuple[Path, ...]:
-        """The label files that may hold boxes of a cloud."""
-        if self.parse is not parse_supervisely:
-            return self.labels
-        name = self.clouds[index].name
-        return tuple(path for path in self.labels if path.name == f"{name}.json")
-
-    def stray_labels(self) -> list[str]:
-        """Label files of single clouds that belong to none."""
-        if self.parse is not parse_supervisely:
-            return []
-        names = {f"{cloud.name}.json" for cloud in self.clouds}
-        return [path.name for path in self.labels if path.name not in names]
 
 
 def tasks(root: Path) -> list[CvatTask]:
@@ -74,7 +60,6 @@ def _task(folder: Path) -> CvatTask | None:
     for parse, pattern, cloud_folder in (
         (_datumaro, "annotations/*.json", "point_clouds"),
         (parse_tracklets, _TRACKLETS, _KITTI_CLOUDS),
-        (parse_supervisely, "ann/*.json", "pointcloud"),
     ):
         labels = tuple(sorted(folder.glob(pattern)))
         if labels and (folder / cloud_folder).is_dir():
@@ -120,7 +105,7 @@ class Cvat(Dataset):
         checked_convention(tracklets)
         self.tasks = tasks(self.root)
         if not self.tasks:
-            looked = f"annotations/*.json with point_clouds, {_TRACKLETS} with {_KITTI_CLOUDS}, ann with pointcloud"
+            looked = f"annotations/*.json with point_clouds, {_TRACKLETS} with {_KITTI_CLOUDS}"
             raise DatasetError(f"{self.root}: expected a task of CVAT, found none. Looked for {looked}")
         self.frames = [(task, index) for task in self.tasks for index in range(len(task.clouds))]
         for task in self.tasks:
@@ -137,14 +122,13 @@ class Cvat(Dataset):
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""
         task, cloud_index = self.frames[index]
-        labels = task.label_files(cloud_index)
+        labels = task.labels
         beside = [*labels, *(path.with_name(FRAME_LIST) for path in labels[:1])]
         return [task.clouds[cloud_index], *(path for path in beside if path.is_file())]
 
     def has_annotation(self, index: int) -> bool:
         """Whether there is a label file for frame ``index``; a frame that it does not mention has no objects."""
-        task, cloud_index = self.frames[index]
-        return bool(task.label_files(cloud_index))
+        return bool(self.frames[index][0].labels)
 
     def annotation(self, index: int) -> Annotation | None:
         """The boxes of frame ``index``."""
@@ -181,10 +165,10 @@ class Cvat(Dataset):
         )
 
 
-def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLabels | None:
+def label_format(data: Cvat) -> DatumaroLabels | TrackletLabels | None:
     """The label files of a data set, to edit them.
 
-    Datumaro's of one task or of tasks in the root, Supervisely's, or KITTI's tracklets; None where they are mixed.
+    Datumaro's of one task or of tasks in the root, or KITTI's tracklets; None where they are mixed.
     """
     if all(task.parse is parse_tracklets for task in data.tasks):
         readings = {task.folder: data.tracklets_of(task) for task in data.tasks}
@@ -193,9 +177,6 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
             for key, (task, index) in zip(data.keys, data.frames, strict=True)
         }
         return TrackletLabels(places, {task.labels[0]: readings[task.folder].convention for task in data.tasks})
-    if all(task.parse is parse_supervisely for task in data.tasks):
-        entries = zip(data.keys, data.frames, strict=True)
-        return SuperviselyLabels({key: _ann(task, index) for key, (task, index) in entries})
     files = [task.labels[0] for task in data.tasks if task.parse is _datumaro and len(task.labels) == 1]
     if len(files) == len(data.tasks) == 1:
         return DatumaroLabels(files[0])
@@ -203,24 +184,13 @@ def label_format(data: Cvat) -> DatumaroLabels | SuperviselyLabels | TrackletLab
     return DatumaroLabels(data.root) if named and len(files) == len(data.tasks) else None
 
 
-def _ann(task: CvatTask, index: int) -> Path:
-    """The annotation file of a cloud, or where it would stand."""
-    return next(iter(task.label_files(index)), None) or task.folder / "ann" / f"{task.clouds[index].name}.json"
-
-
 def _check_names(task: CvatTask) -> None:
-    """Each cloud has a name of its own, and label files of single clouds are called like them."""
+    """Each cloud has a name of its own."""
     stems: dict[str, Path] = {}
     for cloud in task.clouds:
         twin = stems.setdefault(cloud.stem, cloud)
         if twin is not cloud:
             raise DatasetError(f"{cloud}: expected clouds of different names in a task, {twin} is called so too")
-    strays = task.stray_labels()
-    if strays and len(strays) == len(task.labels):
-        raise DatasetError(
-            f"{task.folder / 'ann'}: expected files called like the clouds, such as {task.clouds[0].name}.json, found "
-            f"{strays[0]}. Name them so."
-        )
 
 
 def _tracklets_of(task: CvatTask, convention: str | None, bin_columns: int | None) -> TrackletReading:
@@ -232,11 +202,9 @@ def _annotation(task: CvatTask, index: int, convention: str | None, bin_columns:
         return annotation_of(_tracklets_of(task, convention, bin_columns).boxes(task.clouds[index].stem))
     stems, stem = tuple(cloud.stem for cloud in task.clouds), task.clouds[index].stem
     boxes: tuple[Cuboid, ...] = ()
-    for path in task.label_files(index):
+    for path in task.labels:
         status = path.stat()
         by_frame = _parsed(path, task.parse, status.st_mtime_ns, status.st_size)
-        if task.parse is parse_supervisely:
-            return annotation_of(by_frame.get("", ()))
         name = _frame_of_stem(path, stems, tuple(by_frame)).get(stem)
         if name is not None and boxes:
             raise DatasetError(

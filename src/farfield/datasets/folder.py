@@ -141,9 +141,7 @@ def _refuse_labelcloud(path: Path | str, data: bytes) -> None:
         where="key 'objects'",
         expected="boxes",
         got="labels of labelCloud",
-        fix='Write {"boxes": [...]}: label from name, centre_m from centroid, size_m from dimensions (length, width, '
-        "height), yaw_rad from rotations.z, which centroid_abs has in degrees; or set label_format = centroid_rel in "
-        "labelCloud, whose rotations are radians.",
+        fix="Leave --format folder out, or open it with --format labelcloud.",
     )
 
 

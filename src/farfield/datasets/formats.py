@@ -70,6 +70,7 @@ _FIRST = (  # tried in this order, before all others: View-of-Delft and TJ4DRadS
     "cirrus",
     "view_of_delft",
     "tj4dradset",
+    "kitti_odometry",  # whose sequences alone look like the object benchmark's clouds
     "dual_radar",  # which may bear the names of KITTI's folders
     "kitti",
     "kitti_tracking",
@@ -87,6 +88,11 @@ _LAST = (  # after all others: a data set's folder may hold a bag, a capture or 
     "open_sweeps",
     "sustechpoints",
     "cvat",
+    "supervisely",
+    "xtreme1",
+    "labelcloud",
+    "openlabel",
+    "segments_ai",
     "folder",
 )
 

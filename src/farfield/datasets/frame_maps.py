@@ -67,6 +67,7 @@ MAPS: Registry[Any] = Registry(
         "radar_view": "farfield.datasets.kradar.radar_cloud:RadarView",
         "separate_labels": "farfield.datasets.separate_labels:SeparateLabels",
         "sweeps": "farfield.datasets.maps.sweeps:Sweeps",
+        "where": "farfield.datasets.maps.where:Fulfilling",
         "whole_bodies": "farfield.datasets.maps.annotations:WholeBodies",
     },
 )

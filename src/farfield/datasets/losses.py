@@ -45,9 +45,9 @@ ITEMS: Mapping[str, str] = {
 }
 """What a frame may say that a target may not hold, in words; the order in which losses are said."""
 
-Pictures = Literal["none", "first", "first calibrated", "calibrated"]
-"""Which images and calibrations are written: the first image with its calibration; the first image of a calibrated
-camera, or the first calibration alone; every image of a calibrated camera with it."""
+Pictures = Literal["none", "first", "front", "calibrated"]
+"""Which images and calibrations are written: those of the front camera, else the first image; those of the front camera
+alone, see :attr:`farfield.frame.Frame.front_camera`; every image of a calibrated camera with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +67,7 @@ class Capacity:
             must be alike, for example.
         pictures: Which images and calibrations are written.
         attributes: Names of the annotation's details that are held.
+        any_attributes: Whether all details are held that are a text, a number or a flag of each box.
         spelled: How a class is spelled in the files.
         originals: Classes as sources spell them that are kept so.
         aliases: What a spelled class is when it is read again; None: as it is spelled.
@@ -91,6 +92,7 @@ class Capacity:
     columns_if: Mapping[str, Callable[[Frame, str], bool]] | None = None
     pictures: Pictures = "none"
     attributes: frozenset[str] = frozenset()
+    any_attributes: bool = False
     spelled: Callable[[str], str] = str
     originals: frozenset[str] = frozenset()
     aliases: Mapping[str, str] | None = None
@@ -228,11 +230,11 @@ def _mounting(frame: Frame) -> list[str]:
 def _pictures(frame: Frame, capacity: Capacity) -> dict[str, list[str]]:
     both = [name for name in frame.cameras if name in frame.images]
     if capacity.pictures == "first":
-        images = list(frame.images)[:1]
+        images = [frame.front_camera] if frame.front_camera in both else list(frame.images)[:1]
         cameras = [name for name in images if name in frame.cameras]
-    elif capacity.pictures == "first calibrated":
-        images = both[:1]
-        cameras = images or list(frame.cameras)[:1]
+    elif capacity.pictures == "front":
+        cameras = [] if frame.front_camera is None else [frame.front_camera]
+        images = [name for name in cameras if name in frame.images]
     else:
         images = cameras = both if capacity.pictures == "calibrated" else []
     return {
@@ -262,7 +264,7 @@ def _of_annotation(
             for label, spelled in zip(labels, original, strict=True)
             if spelled not in (label, capacity.spelled(label), *capacity.originals)
         ],
-        "attributes": [name for name in annotation.details if name not in capacity.attributes],
+        "attributes": [name for name in annotation.details if name not in _attributes(annotation, capacity)],
         "visibility": _some(annotation.visibility is not None and len(boxes)),
         "moving": _some(annotation.moving is not None and len(boxes)),
         "extent": [f"{extent}, read again as {capacity.extent}"] if extent != capacity.extent and len(boxes) else [],
@@ -271,6 +273,19 @@ def _of_annotation(
         "unboxed": [name for name, rows in annotation.unboxed.items() if len(rows)],
         "region": [field] if (annotation.region is not None) != capacity.field_of_camera else [],
         "empty frames": _some(not len(boxes)),
+    }
+
+
+def _attributes(annotation: Annotation, capacity: Capacity) -> frozenset[str]:
+    """Names of the details that are held."""
+    return capacity.attributes | (frozenset(plain_details(annotation)) if capacity.any_attributes else frozenset())
+
+
+def plain_details(annotation: Annotation) -> dict[str, list[Any]]:
+    """The details of an annotation that are a text, a number or a flag of each box."""
+    columns = {name: np.asarray(values) for name, values in annotation.details.items()}
+    return {
+        name: column.tolist() for name, column in columns.items() if column.ndim == 1 and column.dtype.kind in "biufU"
     }
 
 

@@ -10,8 +10,10 @@ import numpy as np
 from farfield.datasets import open_sweeps
 from farfield.datasets.base import Dataset
 from farfield.datasets.class_mapping import MAPPING_NAME, maps_classes, read_class_mapping
+from farfield.datasets.downloads import archive_sentences
 from farfield.datasets.formats import find_format, looked_for
 from farfield.datasets.frame_maps import described, make
+from farfield.datasets.reader_options import typed_options
 from farfield.datasets.recipes import maps_of_options, plain
 from farfield.datasets.recognition import recognise
 from farfield.datasets.unread import advice_on, unread_files
@@ -64,10 +66,11 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
         looked = "".join(f"\n  {name}: {what}" for name, what in looked_for().items())
         held = sorted(entry.name for entry in root.iterdir())
         shown = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "") or "nothing"
-        hints = _unread(root) + _inside(root)
+        hints = _unread(root) + _archived(root) + _inside(root)
         raise DatasetError(f"{root}: recognised no data set. It holds: {shown}. {hints}Looked for:{looked}")
     reader = find_format(format).load()
     own = _checked_options(format, reader, options)
+    options = typed_options(reader, options)
     opened = reader(root, **{name: value for name, value in options.items() if name in own})
     opened.options = {name: plain(value) for name, value in options.items() if name in own}
     _check_names(opened)
@@ -129,6 +132,15 @@ def _unread(root: Path) -> str:
     if links:
         texts = (*texts, f"{links[0].name} is a link to {links[0].readlink()}, which is not there")
     return "".join(f"{text}. " for text in texts)
+
+
+def _archived(root: Path) -> str:
+    """Sentences on what lies in a folder's archives."""
+    sentences = archive_sentences(root)
+    if not sentences:
+        return ""
+    store = f" K-Radar's radar: farfield convert {root} STORE --to radar-store." if "K-Radar" in str(sentences) else ""
+    return f"In its archives: {'; '.join(sentences)}. Unpack them into one folder.{store} "
 
 
 def _inside(root: Path) -> str:

@@ -8,20 +8,26 @@ from itertools import islice
 from pathlib import Path
 
 from farfield.datasets.formats import DATASETS, find_format
+from farfield.datasets.listing import ListedPath, listed_once
 from farfield.files.suffixes import pattern_in_any_case
 
 _LABELS_LOOKED_AT, _LINE_BYTES = 20, 1000  # files of which one has a line; of a label
 
 
 def recognise(root: Path) -> str | None:
-    """Name the format of a folder, or None: built-in formats first, then those of other packages, then loose clouds."""
-    for name in DATASETS.builtin:
-        if name != "folder" and find_format(name).matches(root):
-            return name
-    for name in DATASETS.names():
-        if name not in DATASETS.builtin and _foreign(name, root):
-            return name
-    return "folder" if find_format("folder").matches(root) else None
+    """Name the format of a folder, or None: built-in formats first, then those of other packages, then loose clouds.
+
+    Formats ask one after another; a folder is listed once for all of them.
+    """
+    with listed_once():
+        root = ListedPath(root)
+        for name in DATASETS.builtin:
+            if name != "folder" and find_format(name).matches(root):
+                return name
+        for name in DATASETS.names():
+            if name not in DATASETS.builtin and _foreign(name, root):
+                return name
+        return "folder" if find_format("folder").matches(root) else None
 
 
 def _foreign(name: str, root: Path) -> bool:

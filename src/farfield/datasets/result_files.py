@@ -1,4 +1,4 @@
-"""A detector's boxes in the result files of other tools: of KITTI, nuScenes, Argoverse 2 and Waymo."""
+"""A detector's boxes in the result files of other tools, one form each, and what each form cannot hold."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,6 +12,9 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.convert import box_rows
 from farfield.datasets.kitti.boxes import objects_from_boxes
 from farfield.datasets.kitti.object import VIRTUAL_CAMERA, Kitti
+from farfield.datasets.labels.json_labels import file_name as spelled_out
+from farfield.datasets.nuscenes.reader import SchemaDataset
+from farfield.datasets.tool_results import KIT_NAMES, write_instances_of, write_kit, write_pcdet_text
 from farfield.errors import ConfigError
 from farfield.files.argoverse2_boxes import write_argoverse2_boxes
 from farfield.files.atomic import open_atomic
@@ -28,13 +31,19 @@ from farfield.metrics.submissions import (
     stamp_of,
     waymo_part,
 )
-from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, NUSCENES_FROM_CIRRUS
+from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, NUSCENES_FROM_CIRRUS, NUSCENES_RANGES_M
 from farfield.vocabulary.counts import count_of
 
-ResultFormat = Literal["boxes-csv", "kitti", "nuscenes", "argoverse2", "waymo"]
+ResultFormat = Literal["boxes-csv", "kitti", "nuscenes", "argoverse2", "waymo", "kradar", "openpcdet", "mmdetection3d"]
 RESULT_FORMATS: tuple[str, ...] = get_args(ResultFormat)
 _SUFFIX = {".csv": "boxes-csv", ".json": "nuscenes", ".feather": "argoverse2", ".bin": "waymo"}
-_WANTED = {format: f"a file ending in {suffix}" for suffix, format in _SUFFIX.items()} | {"kitti": "a folder"}
+FOLDERS = ("kitti", "kradar", "openpcdet", "mmdetection3d")
+"""Forms that are a folder with a file a frame."""
+_WANTED = {format: f"a file ending in {suffix}" for suffix, format in _SUFFIX.items()} | dict.fromkeys(
+    FOLDERS, "a folder"
+)
+_MOST_IN_A_SAMPLE = 500
+_LEAST_NS, _MOST_US = 10**17, 10**17  # of 1973 and of 5138: one stamp is not both
 
 Found = Iterable[tuple[Key, Boxes]]
 """Scored boxes by (sequence, frame), frame after frame."""
@@ -54,18 +63,18 @@ def result_format(out: Path | None, format: str | None = None) -> str:
         raise ConfigError(f"format: expected one of {', '.join(RESULT_FORMATS)}, got {format!r}")
     if out is None:
         if format not in (None, "boxes-csv"):
-            raise ConfigError(f"--format {format} needs --out: {_WANTED[str(format)]}")
+            raise ConfigError(f"--to {format} needs --out: {_WANTED[str(format)]}")
         return "boxes-csv"
     suffix_format = _SUFFIX.get(out.suffix)
     if format is None and suffix_format is None:
         raise ConfigError(
             f"--out {out}: expected a name ending in .csv (boxes as CSV), .json (nuScenes' results), .feather "
-            "(Argoverse 2's) or .bin (Waymo's), or a folder with --format kitti (KITTI's results)"
+            f"(Argoverse 2's) or .bin (Waymo's), or a folder with --to {'|'.join(FOLDERS)}"
         )
     chosen = format or str(suffix_format)
     fits = (
         suffix_format is None and not out.is_file()
-        if chosen == "kitti"
+        if chosen in FOLDERS
         else suffix_format == chosen and not out.is_dir()
     )
     if not fits:
@@ -83,6 +92,9 @@ class ResultWriter:
         frames: The frames in whose coordinates the boxes stand, in the order in which they come.
         keys: Their (sequence, frame).
         kind: Of which kind of sensor the detector reads the clouds.
+        classes: Classes that the detector has, in its order.
+        strict: Whether the form is the tool's own to the letter, as ``--to`` asks for: what the data cannot give is
+            refused by :meth:`check`; else what stands for it is noted.
         notes: What was assumed, once written.
     """
 
@@ -90,18 +102,86 @@ class ResultWriter:
     frames: Sequence[Frame] | Dataset
     keys: Sequence[Key]
     kind: str = "lidar"
+    classes: Sequence[str] = ()
+    strict: bool = False
     notes: list[str] = field(default_factory=list)
+
+    def check(self) -> None:
+        """See whether the data give what the form names its frames by.
+
+        Raises:
+            ConfigError: If they do not; says what there is instead.
+        """
+        if self.format in ("argoverse2", "waymo"):
+            self._check_submission()
+        if not self.strict:
+            return
+        first = self.frames[0]
+        reader = self.frames.unwrapped if isinstance(self.frames, Dataset) else None
+        if self.format == "nuscenes" and not isinstance(reader, SchemaDataset):
+            raise ConfigError(
+                f"--to nuscenes: expected data in nuScenes' schema, whose samples have tokens by which its results are "
+                f"keyed; {_named_data(self.frames)} names its frames otherwise, such as {first.frame_id!r}. --out "
+                "NAME.json without --to writes the same JSON keyed by these names"
+            )
+        if self.format == "nuscenes" and first.world_T_frame is None:
+            raise ConfigError("--to nuscenes: expected poses, since its results stand in the world; the data have none")
+        if self.format == "openpcdet" and not first.cameras:
+            raise ConfigError(
+                f"--to openpcdet: expected a calibrated camera, since its texts stand in KITTI's camera; "
+                f"{_named_data(self.frames)} has none. --to mmdetection3d or boxes-csv need none"
+            )
+
+    def losses(self) -> list[str]:
+        """What of the detector's boxes the form does not hold, a sentence each: said before anything is written."""
+        without_velocity = ("kitti", "argoverse2", "waymo", "kradar", "openpcdet")
+        lost = ["velocities of boxes: none there"] if self.format in without_velocity else []
+        names = {"argoverse2": ARGOVERSE2_NAMES, "waymo": WAYMO_TYPES, "kradar": KIT_NAMES}.get(self.format)
+        if self.format == "nuscenes" and self.strict:
+            names = _NUSCENES_NAMES
+            lost.append(
+                f"boxes of a sample beyond the {_MOST_IN_A_SAMPLE} of the highest scores: the tool refuses more"
+            )
+        if names is not None and (absent := [name for name in self.classes if name not in names]):
+            lost.append(f"boxes of the classes {', '.join(absent)}: none there")
+        merged = {name: (names or {}).get(name, name) for name in self.classes}
+        shared = sorted({other for name, other in merged.items() if [*merged.values()].count(other) > 1})
+        for other in shared:
+            own = [name for name, written in merged.items() if written == other]
+            lost.append(f"which of {', '.join(own)} a box is: all are {other}")
+        if self.format == "waymo":
+            lost.append("digits of scores: single precision")
+        if self.format == "kradar":
+            lost.append("names of frames: numbered anew (the file FRAMES beside the texts says which they are)")
+            if self._annotated():
+                lost.append("frames without an annotated box: left out, as the kit does")
+            else:
+                lost.append("annotated boxes: the data have none, so that gts and val.txt are not written")
+            if not self.frames[0].conditions:
+                lost.append("conditions: not known, so that all is the only folder")
+        return [f"loses {loss}" for loss in lost]
+
+    def _annotated(self) -> bool:
+        return any(self.frames[number].has_annotation for number in range(len(self.keys)))
 
     def write(self, out: Path, frame_boxes: Found) -> None:
         """Write all boxes; a file appears whole or not at all.
 
         Args:
-            out: A file, or KITTI's folder.
+            out: A file, or a folder for the forms of :data:`FOLDERS`.
             frame_boxes: The boxes of each frame.
+
+        Raises:
+            ConfigError: As :meth:`check`.
         """
+        self.check()
         out.parent.mkdir(parents=True, exist_ok=True)
         if self.format == "kitti":
             self._kitti(out, frame_boxes)
+        elif self.format == "kradar":
+            self.notes += write_kit(out, frame_boxes, self.frames, annotated=self._annotated())
+        elif self.format in ("openpcdet", "mmdetection3d"):
+            self._texts(out, frame_boxes)
         elif self.format == "nuscenes":
             self._nuscenes(out, frame_boxes)
         elif self.format in ("argoverse2", "waymo"):
@@ -109,18 +189,44 @@ class ResultWriter:
         else:
             write_boxes_csv_parts(out, rows_of(frame_boxes, self.frames[0].reference))
 
-    def _submission(self, out: Path, frame_boxes: Found) -> None:
-        """One file of all frames in the vehicle's coordinates, whose frames are named by their stamps."""
+    def _texts(self, out: Path, frame_boxes: Found) -> None:
+        """A file a frame, below a folder for each of several sequences."""
+        several = len({sequence for sequence, _ in self.keys}) > 1
+        for number, ((sequence, frame_id), boxes) in enumerate(frame_boxes):
+            frame = self.frames[number]
+            folder = out / file_name(sequence) if several else out
+            folder.mkdir(parents=True, exist_ok=True)
+            path = folder / f"{file_name(frame_id)}.txt"
+            if self.format == "openpcdet":
+                write_pcdet_text(path, boxes, next(iter(frame.cameras.values()), VIRTUAL_CAMERA))
+                write_coordinates(folder, coordinates_of_text(self.frames, frame))
+            else:
+                write_instances_of(path.with_suffix(".json"), boxes, self.classes, frame.reference)
+
+    def _check_submission(self) -> None:
+        """See that boxes stand in the vehicle's coordinates, and that frames are named by stamps."""
         whose, own = ("Argoverse 2", "ego") if self.format == "argoverse2" else ("Waymo", "vehicle")
         reference = self.frames[0].reference
         if reference not in ("ego", "vehicle"):
             raise ConfigError(
-                f"--format {self.format}: expected boxes in the coordinates of the vehicle ({own}), as {whose}'s "
+                f"--to {self.format}: expected boxes in the coordinates of the vehicle ({own}), as {whose}'s "
                 f"submissions have them; got {reference or 'some that have no name'}. "
                 "Take --reference ego where the data have it, or another format"
             )
         for key in self.keys:
-            stamp_of(key)
+            stamp = stamp_of(key)
+            if not self.strict:
+                continue
+            if not key[0]:
+                part = "log" if self.format == "argoverse2" else "context"
+                raise ConfigError(f"frame {key}: expected the name of its {part} as its sequence, got none")
+            if self.format == "argoverse2" and stamp < _LEAST_NS:
+                raise ConfigError(f"frame {key}: expected a stamp in nanoseconds as its name, got {stamp}")
+            if self.format == "waymo" and stamp >= _MOST_US:
+                raise ConfigError(f"frame {key}: expected a stamp in microseconds as its name, got {stamp}")
+
+    def _submission(self, out: Path, frame_boxes: Found) -> None:
+        """One file of all frames in the vehicle's coordinates, whose frames are named by their stamps."""
         written = _WrittenClasses(frame_boxes, ARGOVERSE2_NAMES if self.format == "argoverse2" else WAYMO_TYPES)
         if self.format == "argoverse2":
             write_argoverse2_boxes(out, (argoverse2_part(key, boxes) for key, boxes in written))
@@ -135,14 +241,14 @@ class ResultWriter:
         virtual, named = 0, set[Path]()
         for number, ((sequence, frame_id), boxes) in enumerate(frame_boxes):
             frame = self.frames[number]
-            camera = next(iter(frame.cameras.values()), None)
+            camera = None if frame.front_camera is None else frame.cameras[frame.front_camera]
             virtual += camera is None
-            folder = out / sequence if several else out
+            folder = out / file_name(sequence) if several else out
             if folder not in named:
                 named.add(folder)
                 write_coordinates(folder, coordinates_of_text(self.frames, frame))
             objects = objects_from_boxes(boxes, camera or VIRTUAL_CAMERA, classes=KITTI_FROM_CIRRUS)
-            write_labels(folder / f"{frame_id}.txt", objects)
+            write_labels(folder / f"{file_name(frame_id)}.txt", objects)
         if virtual:
             self.notes.append(
                 f"{count_of(virtual, 'frame has', 'frames have')} no camera: their boxes "
@@ -158,17 +264,31 @@ class ResultWriter:
         meta |= {"use_lidar": self.kind == "lidar", "use_radar": self.kind == "radar"}
         meta_text = json.dumps(meta | {"reference": WORLD if posed else self.frames[0].reference})
         still = False
+        names = _NUSCENES_NAMES if self.strict else None
+        left_out: dict[str, int] = {}
+        beyond = 0
         with open_atomic(out) as handle:
             handle.write(f'{{"meta": {meta_text}, "results": {{'.encode())
             for number, ((sequence, frame_id), boxes) in enumerate(frame_boxes):
                 pose = self.frames[number].world_T_frame if posed else None
                 token = frame_id if plain else f"{sequence}/{frame_id}"
+                if names is not None:
+                    fits = np.isin(boxes.label, [*names])
+                    for name in np.asarray(boxes.label)[~fits].tolist():
+                        left_out[str(name)] = left_out.get(str(name), 0) + 1
+                    boxes = boxes[fits]
+                    beyond += max(0, len(boxes) - _MOST_IN_A_SAMPLE)
+                    if len(boxes) > _MOST_IN_A_SAMPLE and boxes.score is not None:
+                        boxes = boxes[np.sort(np.argsort(-boxes.score, kind="stable")[:_MOST_IN_A_SAMPLE])]
                 still = still or (len(boxes) > 0 and boxes.velocity_m_s is None)
                 rows = list(_samples(token, boxes if pose is None else boxes.transform(pose)))
                 handle.write(f"{', ' if number else ''}{json.dumps(token)}: {json.dumps(rows)}".encode())
             handle.write(b"}}\n")
         where = "the world" if posed else f"each frame ({self.frames[0].reference}), since poses are not known"
         self.notes.append(f"boxes stand in the coordinates of {where}")
+        self.notes += _left_out(left_out)
+        if beyond:
+            self.notes.append(f"{count_of(beyond, 'box', 'boxes')} beyond {_MOST_IN_A_SAMPLE} a sample are left out")
         if still:
             self.notes.append("velocities are not known and stand as 0: nuScenes' results must have numbers there")
 
@@ -196,10 +316,29 @@ class _WrittenClasses:
         other = {name: self.names[name] for name in sorted(self.counts) if self.names.get(name, name) != name}
         lost = {name: count for name, count in sorted(self.counts.items()) if name not in self.names}
         notes = [f"classes are called {', '.join(f'{own} for {name}' for name, own in other.items())}"] if other else []
-        if lost:
-            listed = ", ".join(f"{name} ({count})" for name, count in lost.items())
-            notes.append(f"boxes of classes that the format does not have are left out: {listed}")
-        return notes
+        return notes + _left_out(lost)
+
+
+def _left_out(lost: Mapping[str, int]) -> list[str]:
+    listed = ", ".join(f"{name} ({count})" for name, count in sorted(lost.items()))
+    return [f"boxes of classes that the format does not have are left out: {listed}"] if lost else []
+
+
+def file_name(name: str) -> str:
+    """A sequence's or frame's name as that of a file: as it is, unless it would lead elsewhere.
+
+    >>> file_name("a b"), file_name("../b"), file_name("..")
+    ('a b', '_b', '_')
+    """
+    return name if name and Path(name).name == name and name.isprintable() else spelled_out(name)
+
+
+def _named_data(frames: Sequence[Frame] | Dataset) -> str:
+    return str(frames.root) if isinstance(frames, Dataset) else "what is there"
+
+
+_NUSCENES_NAMES = {**{name: name for name in NUSCENES_RANGES_M}, **NUSCENES_FROM_CIRRUS}
+"""nuScenes' detection class of each class: its own ten, and of those that are one class of ours."""
 
 
 def rows_of(frame_boxes: Found, reference: str = "") -> Iterator[BoxRows]:
@@ -234,4 +373,4 @@ def coordinates_of_text(frames: Sequence[Frame] | Dataset, frame: Frame) -> str:
     """What boxes in KITTI's text stand in: as the labels of a converted data set name it, else the frame's camera."""
     reader = frames.unwrapped if isinstance(frames, Dataset) else None
     beside = read_coordinates(reader.folder / "label_2") if isinstance(reader, Kitti) else ""
-    return beside or camera_words(next(iter(frame.cameras), ""), frame.reference)
+    return beside or camera_words(frame.front_camera or "", frame.reference)

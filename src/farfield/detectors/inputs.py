@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from farfield.detectors.devices import sent
+from farfield.detectors.trained import cloud_rows
 from farfield.errors import ConfigError
 from farfield.frame import Cloud
 
@@ -20,9 +20,6 @@ Positions = Literal["absolute", "relative"]
 
 Near and far are functions of x: a discriminator between them can read them off features that hold it.
 """
-
-_FINITE = ("intensity", "power", "lag_s")
-"""A point whose position, strength or age is not finite is dropped; other columns count as 0 where they are not."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,31 +49,8 @@ def features_of(columns: Sequence[str]) -> list[int]:
 
 
 def cloud_tensor(cloud: Cloud, columns: Sequence[str]) -> Tensor:
-    """A cloud as a tensor of the named columns, shape (n, len(columns)), float32.
-
-    Points whose position, strength or age is not finite are dropped, whether or not these are read; a value of another
-    column that is not finite counts as 0.
-
-    Raises:
-        ConfigError: If the cloud lacks one of the columns.
-    """
-    rows = np.empty((len(cloud), len(columns)), dtype=np.float32)
-    for number, name in enumerate(columns):
-        rows[:, number] = cloud.column(name)
-    strength = [cloud.column(name) for name in _FINITE if name in cloud.columns]
-    if all(map(_all_finite, (cloud.points_m, rows, *strength))):
-        return torch.from_numpy(rows)
-    finite = np.isfinite(cloud.points_m).all(axis=1)
-    for values in strength:
-        finite &= np.isfinite(values)
-    rows = rows[finite]
-    return torch.from_numpy(np.where(np.isfinite(rows), rows, np.float32(0.0)))
-
-
-def _all_finite(values: np.ndarray) -> bool:
-    """Whether all are finite: a sum in float64 of float32 numbers is, unless one of them is not."""
-    with np.errstate(invalid="ignore"):  # infinities of both signs
-        return bool(np.isfinite(values.sum(dtype=np.float64)))
+    """A cloud as a tensor of the named columns, as :func:`~farfield.detectors.trained.cloud_rows` gives them."""
+    return torch.from_numpy(cloud_rows(cloud, columns))
 
 
 def stacked(clouds: Sequence[Tensor]) -> tuple[Tensor, Tensor]:

@@ -1,83 +1,28 @@
 """Running a trained network on frames: which boxes it gives, precision, folding, memory, and which clouds it reads."""
 
-import copy
 import ctypes
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
 import torch
 from pydantic import ValidationError
 from torch import Tensor, nn
 
 from farfield.detectors.devices import DTYPES, chosen_device, default_precision, fitting
-from farfield.detectors.info import DetectorInfo
 from farfield.detectors.inputs import Inputs, cloud_tensor
 from farfield.detectors.layers import fold_batch_norm
 from farfield.detectors.network import FIXED, Network, build_detector
 from farfield.detectors.soundness import unsound
+from farfield.detectors.trained import ChosenClasses, Classes, TrainedDetector
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError, plain
 from farfield.frame import Cloud, Frame
-from farfield.frame.cloud import RADAR_COLUMNS
-from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
-from farfield.registry import display_html
-
-# Which of its boxes a detector gives, by score, overlap, number and class: chosen as it is loaded, not trained.
-
-Classes = Iterable[str] | Mapping[str, str]
-"""Classes to give, or for each of them the name to give it."""
-
-
-@dataclass(frozen=True)
-class ChosenClasses:
-    """Some of a detector's classes, perhaps under other names.
-
-    Args:
-        names: The name to give each chosen class.
-        max_boxes: Boxes of the chosen classes that are kept in a frame.
-    """
-
-    names: Mapping[str, str]
-    max_boxes: int
-
-    @classmethod
-    def of(cls, choice: Classes, class_names: tuple[str, ...], max_boxes: int) -> "ChosenClasses":
-        """Check a choice.
-
-        Args:
-            choice: The choice.
-            class_names: The detector's own classes.
-            max_boxes: As of the class.
-
-        Raises:
-            ConfigError: If it names none, or one that the detector does not know.
-        """
-        names = dict(choice) if isinstance(choice, Mapping) else {name: name for name in choice}
-        unknown = [name for name in names if name not in class_names]
-        if unknown or not names or not all(names.values()):
-            raise ConfigError(
-                f"classes: expected at least one class that the detector knows ({', '.join(class_names)}), each with "
-                f"the name to give it or none; got {', '.join(unknown or names) or 'none'}."
-            )
-        return cls(names, max_boxes)
-
-    @property
-    def given(self) -> tuple[str, ...]:
-        """The names that boxes can have."""
-        return tuple(dict.fromkeys(self.names.values()))
-
-    def __call__(self, boxes: Boxes) -> Boxes:
-        """The boxes of these classes, under the names to give."""
-        chosen = boxes[np.isin(boxes.label, list(self.names))][: self.max_boxes]
-        labels = np.array([self.names[str(name)] for name in chosen.label], dtype=np.str_)
-        return chosen.replace(label=labels) if len(chosen) else chosen
+from farfield.geometry.boxes import Boxes
 
 
 def reconfigured(network: Network, changes: Mapping[str, Any]) -> Network:
@@ -139,11 +84,9 @@ _TOO_LARGE = (
 )
 _BEFORE_CALIBRATION = 5000
 """Boxes of a frame whose scores are calibrated: another order than the network's decides which are given."""
-_KRADAR_LIDAR = "os2-64"
-"""In whose coordinates K-Radar's frames stand unless they were moved into the radar's."""
 
 
-class Detector:
+class Detector(TrainedDetector):
     """A trained network that turns frames into boxes.
 
     Args:
@@ -236,9 +179,14 @@ class Detector:
         raise ConfigError(FIXED)
 
     @property
-    def name(self) -> str:
-        """What it is called: its weights, or their run; without either its experiment, or its kind."""
-        return self._name or str(self.provenance.get("experiment", {}).get("name", self.config.name))
+    def read_columns(self) -> Mapping[str, Sequence[str]]:
+        """Columns of each cloud that it reads, by the name of the network's input."""
+        return {name: source.columns for name, source in self.network.inputs.items()}
+
+    @property
+    def network_name(self) -> str:
+        """Class of its network, such as ``"PointPillars"``."""
+        return type(self.network).__name__
 
     def __repr__(self) -> str:
         """Its name, kind and classes, and what it keeps."""
@@ -254,81 +202,6 @@ class Detector:
             f"{self.precision} on {self.device})"
         )
 
-    def _repr_html_(self) -> str | None:
-        """What a notebook shows: where it looks, and for what."""
-        return display_html("detector", self)
-
-    @property
-    def info(self) -> DetectorInfo:
-        """What is known of it: what it reads, what it gives, and what it was trained on."""
-        return DetectorInfo(
-            name=self.name,
-            network=type(self.network).__name__,
-            classes=self.class_names,
-            sensor=self.kind,
-            columns=self.columns,
-            learnt_clouds=self.learnt_clouds,
-            reference=self.reference,
-            reach_m=self.reach_m,
-            provenance=self.provenance,
-            family=str(self.provenance.get("family", "")),
-            places=self.places,
-            precision=self.precision,
-            score_threshold=self.config.score_threshold,
-            nms_iou=self.config.nms_iou,
-            max_boxes=self.config.max_boxes if self.chosen is None else self.chosen.max_boxes,
-        )
-
-    @property
-    def class_names(self) -> tuple[str, ...]:
-        """The classes that this detector tells apart, by the names that it gives them."""
-        return tuple(self.config.class_names) if self.chosen is None else self.chosen.given
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns of the clouds that it reads, of all inputs together."""
-        return tuple(dict.fromkeys(name for source in self.network.inputs.values() for name in source.columns))
-
-    @property
-    def reach_m(self) -> float:
-        """How far ahead it looks, metres."""
-        return float(self.config.reach_m)
-
-    @property
-    def learnt_clouds(self) -> tuple[str, ...]:
-        """Names of the clouds that it learnt from; none where nothing is known of its training."""
-        clouds = self._trained_on.get("clouds", ())
-        if isinstance(clouds, Mapping):
-            clouds = [name for cloud_names in clouds.values() for name in cloud_names]
-        return tuple(dict.fromkeys(clouds))
-
-    @property
-    def kind(self) -> Literal["lidar", "radar"]:
-        """Of which kind of sensor its clouds are: a radar's if it reads a radar's columns or learnt from a radar."""
-        of_radar = any(name.startswith(RADAR_COLUMNS) for name in self.columns)
-        return "radar" if of_radar or any(name.startswith("radar") for name in self.learnt_clouds) else "lidar"
-
-    @property
-    def reference(self) -> str | None:
-        """Name of the sensor in whose coordinates it learnt; None where that is not known."""
-        stated = self._trained_on.get("options", {}).get("reference")
-        if stated is None and _KRADAR_LIDAR in self.learnt_clouds:
-            return _KRADAR_LIDAR
-        return None if stated is None else str(stated)
-
-    @property
-    def places(self) -> tuple[str, ...]:
-        """Names of the real places whose sweeps it learnt from, each once."""
-        donors = [stream.get("donors") or {} for stream in self.provenance.get("streams", {}).values()]
-        return tuple(dict.fromkeys(str(name) for lent in donors for name in lent.get("places", ())))
-
-    @property
-    def _trained_on(self) -> dict[str, Any]:
-        """The experiment's data; of several streams those that the weights are meant for, or the first one's."""
-        data: dict[str, Any] = self.provenance.get("experiment", {}).get("data", {})
-        several = bool(data) and "path" not in data and all(isinstance(group, dict) for group in data.values())
-        return data.get(self.provenance.get("stream", ""), next(iter(data.values()))) if several else data
-
     def digest(self) -> str:
         """SHA-256 of all that decides its boxes: weights, settings, precision, and the kind of its device."""
         settings = [type(self.network).__name__, self.config.model_dump(mode="json"), self.precision, self.device.type]
@@ -338,16 +211,6 @@ class Detector:
             digest.update(f"\0{name}\0{values.dtype}\0{tuple(values.shape)}".encode())
             digest.update(values.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes())
         return digest.hexdigest()
-
-    def with_cloud(self, cloud: str | Mapping[str, str] | None) -> "Detector":
-        """The same detector reading another of a frame's clouds; weights are shared."""
-        other = copy.copy(self)
-        other.cloud = cloud
-        return other
-
-    def __call__(self, frame: Frame | Cloud) -> Boxes:
-        """Detect objects; boxes are in the frame's coordinates, best first."""
-        return self.detect([frame])[0]
 
     def detect(self, frames: Sequence[Frame | Cloud]) -> list[Boxes]:
         """Detect objects in a batch of frames.
@@ -371,79 +234,6 @@ class Detector:
             points = [torch.cat([named[name][row][:, :3] for name in named]).numpy() for row in range(len(frames))]
             detected = [self._calibrated(boxes, cloud) for boxes, cloud in zip(detected, points, strict=True)]
         return detected if self.chosen is None else [self.chosen(boxes) for boxes in detected]
-
-    def _calibrated(self, boxes: Boxes, points_m: np.ndarray) -> Boxes:
-        """The boxes with scores that count their range and points, as many and as good as are given, best first."""
-        if boxes.score is None or not len(boxes):
-            return boxes
-        count = count_points_in_boxes(points_m, boxes, margin_m=BOX_MARGIN_M)
-        score = self.config.score_bands(boxes.score, boxes.range_m, count)
-        order = np.argsort(-score, kind="stable")
-        rows = order[score[order] >= self.config.score_threshold][: self.config.max_boxes]
-        return boxes.replace(score=score)[rows]
-
-    def _clouds(self, frame: Frame | Cloud) -> dict[str, Cloud]:
-        """The cloud of each of the network's inputs."""
-        inputs = self.network.inputs
-        if not isinstance(frame, Cloud):
-            self._check_coordinates(frame)
-            return {name: self._chosen(frame, name) for name in inputs}
-        if len(inputs) > 1:
-            raise ConfigError(f"Expected a frame with clouds for the inputs {', '.join(inputs)}; got a single cloud.")
-        return dict.fromkeys(inputs, frame)
-
-    def _chosen(self, frame: Frame, source: str) -> Cloud:
-        """The cloud of an input: the chosen one, or the first one learnt from that is there, or the first that fits."""
-        if isinstance(self.cloud, Mapping):
-            name = self.cloud.get(source)
-        elif len(self.network.inputs) > 1:
-            name = source
-        else:
-            name = self.cloud or next((name for name in self.learnt_clouds if name in frame.clouds), None)
-        if name is None:
-            name = next((name for name in frame.clouds if not self._misfit(frame, name, source)), None)
-        if name is None or name not in frame.clouds:
-            present = ", ".join(frame.clouds) or "none"
-            raise ConfigError(
-                f"frame {frame.key}: expected a cloud of a {self.kind} with {self._read(source)}"
-                f"{'' if name is None else f', named {name!r}'}; its clouds are: {present}. "
-                "Choose one with cloud=, or a detector that reads what there is."
-            )
-        misfit = self._misfit(frame, name, source)
-        if misfit:
-            fits = [other for other in frame.clouds if not self._misfit(frame, other, source)]
-            raise ConfigError(
-                f"frame {frame.key}, cloud {name!r}: {misfit}; the detector reads a {self.kind} with "
-                f"{self._read(source)}. What fits here: {', '.join(fits) or 'no cloud'}."
-            )
-        cloud: Cloud = frame.cloud(name)
-        return cloud
-
-    def _read(self, source: str) -> str:
-        return ", ".join(self.network.inputs[source].columns)
-
-    def _misfit(self, frame: Frame, name: str, source: str) -> str:
-        """Why an input cannot be read from a frame's cloud; empty where it can."""
-        sensor = frame.sensors.get(name)
-        if sensor is not None and len(self.network.inputs) == 1 and sensor.kind != self.kind:
-            return f"it is of a {sensor.kind}"
-        if sensor is not None and not sensor.in_frame:
-            return "it keeps its sensor's own coordinates"
-        cloud = frame.cloud(name)
-        present = (*cloud.columns, "lag_s", *(("intensity",) if cloud.kind == "lidar" else ()))
-        missing = [column for column in self.network.inputs[source].columns if column not in present]
-        return f"it has no column {missing[0]!r}" if missing else ""
-
-    def _check_coordinates(self, frame: Frame) -> None:
-        stands_in, learnt = frame.reference.removesuffix("'"), self.reference
-        names = {*frame.clouds, *frame.sensors}
-        if learnt is None or stands_in == learnt:
-            return
-        if learnt in names or (learnt, stands_in) == ("radar", _KRADAR_LIDAR):
-            raise ConfigError(
-                f"frame {frame.key} stands in the coordinates of {frame.reference}; the detector learnt in those of "
-                f"{learnt}. farfield.detect(detector, data) moves the data as it learnt to see them."
-            )
 
 
 # A detector's dense trunk recorded once as a CUDA graph: one call a frame instead of one a layer.

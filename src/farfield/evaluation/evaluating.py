@@ -1,7 +1,7 @@
 """A detector over a data set, cloud by cloud: scores, found objects and a few frames to look at, ready for a report."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,16 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.memory import in_memory
 from farfield.detectors.info import DescribedDetector, DetectorFunction, as_detector
 from farfield.evaluation.detecting import detect, median_ms
+from farfield.evaluation.lost import lost_of
 from farfield.evaluation.record import Evaluation, FrameView
 from farfield.evaluation.report_data import annotated_objects, kind_of, power_from_above, scored_labels
 from farfield.evaluation.views import as_trained, suitable_clouds
 from farfield.frame import Boxes, Frame, Key
 from farfield.frame.provenance import environment
+from farfield.frame.where import Where
 from farfield.jobs import JobOptions
 from farfield.metrics import PROTOCOLS, Bootstrap, Protocol
-from farfield.metrics.breakdown import by_class, by_part, mean_of_classes, parts_json
+from farfield.metrics.breakdown import by_class, by_part, mean_of_classes, of_slice, parts_json
 from farfield.metrics.detections import Detections, presentation_of
 from farfield.metrics.frames import BoxesByFrame
 from farfield.vocabulary.counts import count_of
@@ -39,6 +41,7 @@ class EvaluationOptions:
         journals: Folder that keeps the detections, so that an interrupted evaluation goes on and one with other
             settings of the protocol detects nothing anew; None keeps nothing.
         overwrite: Detect anew what is kept.
+        where: Only frames and boxes count that fulfil this condition, see :mod:`farfield.frame.where`; all if empty.
     """
 
     clouds: Sequence[str] | None = None
@@ -50,6 +53,7 @@ class EvaluationOptions:
     bulk: JobOptions | None = None
     journals: Path | None = None
     overwrite: bool = False
+    where: str = ""
 
 
 def evaluate_clouds(
@@ -71,6 +75,7 @@ def evaluate_clouds(
         DatasetError: If no frame is annotated.
         ConfigError: If a cloud is missing or does not suit.
     """
+    where = Where(options.where) if options.where else None  # or says at once what is wrong with it
     described, dataset = as_detector(detector), in_memory(data)
     info = described.info
     frames = as_trained(dataset, info)
@@ -91,6 +96,7 @@ def evaluate_clouds(
             overwrite=options.overwrite,
         )
         predictions[name] = detections.boxes
+        detections = detections if where is None else of_slice(detections, where)
         clouds_results[name] = score_cloud(detections, protocol, options, kind=kind_of(first, name))
     # Choose the frames that the report shows, and say what was evaluated.
     shown = np.linspace(0, len(frames) - 1, max(0, min(options.shown_frames, len(frames)))).round().astype(int)
@@ -100,6 +106,7 @@ def evaluate_clouds(
         tables={name: cloud.table for name, cloud in clouds_results.items()},
         objects={name: cloud.objects for name, cloud in clouds_results.items()},
         parts={name: cloud.parts for name, cloud in clouds_results.items()},
+        lost={name: cloud.lost for name, cloud in clouds_results.items()},
         timing={name: cloud.timing for name, cloud in clouds_results.items() if cloud.timing},
         frames=[frame_view(frames[index], predictions) for index in sorted(set(shown.tolist()))],
         settings={
@@ -130,6 +137,7 @@ class CloudResult:
         table: Its table, as ``farfield score`` prints it.
         objects: Which annotated objects were found, see :func:`farfield.evaluation.report_data.annotated_objects`.
         parts: Figures by condition and sector, a row for each class, and their mean.
+        lost: Missed objects and false boxes, see :func:`farfield.evaluation.lost.lost_of`.
         timing: ``frames`` that were detected in now, and their ``median_ms``; empty if all came from a journal.
     """
 
@@ -137,6 +145,7 @@ class CloudResult:
     table: str
     objects: Mapping[str, Any]
     parts: Mapping[str, Any]
+    lost: Mapping[str, Any]
     timing: Mapping[str, float | int]
 
 
@@ -153,12 +162,16 @@ def score_cloud(detections: Detections, protocol: Protocol, options: EvaluationO
     others = {name: value for name, value in settings.items() if name != "label"}
     detections.check_label(protocol, settings.get("label"), **others)
     result = detections.score(options.protocol, **settings)
+    if options.where:  # a condition is a setting: figures under others are not comparable
+        chosen = {**result.settings, "where": options.where}
+        result = replace(result, settings=chosen, convention=f"{result.convention}; where={options.where}")
     tree = result.to_json()
+    finding, labels = presentation_of(tree, protocol).finding, scored_labels({detections.cloud or "": tree})
     objects = annotated_objects(
         detections.boxes,
         detections.annotated,
-        labels=scored_labels({detections.cloud or "": tree}),
-        finding=presentation_of(tree, protocol).finding,
+        labels=labels,
+        finding=finding,
         kind=kind,
     )
     timing = {"frames": len(detections.ms), "median_ms": round(median_ms(detections), 1)} if detections.ms else {}
@@ -167,6 +180,7 @@ def score_cloud(detections: Detections, protocol: Protocol, options: EvaluationO
         table=str(result),
         objects=objects,
         parts=part_figures(detections, protocol, settings, by_condition="conditions" not in tree),
+        lost=lost_of(detections, finding=finding, labels=labels, settings=result.settings),
         timing=timing,
     )
 

@@ -20,17 +20,19 @@ from farfield.datasets.result_files import coordinates_of_text
 from farfield.datasets.waymo import Waymo
 from farfield.errors import ConfigError
 from farfield.evaluation.detecting import check_new_key, label_facts, points_in_boxes, with_point_count
+from farfield.files.mmdetection3d import read_instances
 from farfield.files.nuscenes import WORLD
 from farfield.frame import Annotation, Boxes, Constant, Frame, Key
 from farfield.geometry.poses import invert
-from farfield.metrics.box_files import kitti_boxes, read, read_predictions
+from farfield.metrics.box_files import FORMATS, kitti_boxes, read, read_predictions
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
+from farfield.metrics.kit_folders import kit_folder, read_frames, results_folder
 from farfield.metrics.kradar.conditions import read_conditions
 from farfield.vocabulary.classes import KITTI_FROM_CIRRUS, normalised_class
 from farfield.vocabulary.counts import count_of
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
-_SCORED_BESIDE_DATA = ("boxes-csv", "kitti", "nuscenes", "argoverse2", "waymo")
+_SCORED_BESIDE_DATA = tuple(form for form in FORMATS if form != "kitti-tracking")
 
 
 def detections_from_boxes(
@@ -103,6 +105,8 @@ def read_detections(
     *,
     format: str = "boxes-csv",
     reference: str = "",
+    axes: str = "",
+    class_names: Sequence[str] = (),
     **options: Any,
 ) -> Detections:
     """Predictions of files beside the labels of files, or of a data set.
@@ -114,6 +118,8 @@ def read_detections(
             axes of its camera, as ``predict --format kitti`` writes them; with ``"nuscenes"`` in the world, moved to
             the car.
         reference: Coordinates in which boxes stand whose files do not name them.
+        axes: Axes of the texts of K-Radar's kit, see :mod:`farfield.metrics.kit_axes`.
+        class_names: mmdetection3d's classes in the order of their numbers.
         **options: Those of :func:`farfield.open_dataset`, for a data set's folder.
 
     Raises:
@@ -131,45 +137,83 @@ def read_detections(
                     f"{', '.join(options)}: expected a data set's folder in the place of the labels, whose files are "
                     f"read so, got files of boxes: {labels}"
                 )
-            return read(predictions, labels, format=format, reference=reference)
+            return read(predictions, labels, format=format, reference=reference, axes=axes, class_names=class_names)
         labels = open_dataset(folder, **options)
         own = {"argoverse2": Argoverse2, "waymo": Waymo}.get(format)
         if own is not None and isinstance(labels.unwrapped, own) and "classes" not in options:
             labels = open_dataset(folder, **options, classes=format)  # the submission's own categories
-    if format == "kitti":
-        return _in_cameras(Path(predictions), labels, reference)
+    reading: dict[str, Any] = {"format": format, "reference": reference, "axes": axes, "class_names": class_names}
+    folder = results_folder(Path(predictions)) if format in ("openpcdet", "mmdetection3d") else Path(predictions)
+    if format in ("kitti", "openpcdet") or (format == "mmdetection3d" and _in_camera_axes(folder)):
+        return _in_cameras(folder, labels, reading)
+    if format == "mmdetection3d":
+        return attach_ground_truth(_by_sequence(folder, labels, reading), labels)
+    if format == "kradar" and not read_frames(kit_folder(folder)):
+        raise ConfigError(
+            f"{predictions}: K-Radar's kit numbers its frames anew, and no file FRAMES beside its texts says which of "
+            f"{labels.root} they are. Score the folder against its own annotation: farfield score {predictions} "
+            f"{predictions} --format kradar"
+        )
     if format == "nuscenes":
         return detections_by_sample(read_predictions(predictions, format=format, reference=reference), labels)
-    return attach_ground_truth(read_predictions(predictions, format=format, reference=reference), labels)
+    return attach_ground_truth(read_predictions(predictions, **reading), labels)
 
 
-def _in_cameras(predictions: Path, data: Dataset, reference: str) -> Detections:
+def _in_camera_axes(folder: Path) -> bool:
+    """Whether mmdetection3d's boxes stand in the camera: of KITTI's texts, or of a model that detects in images."""
+    if not folder.is_dir():
+        return False
+    files = [path for path in sorted(folder.rglob("*")) if path.suffix in (".txt", ".json") and path.is_file()]
+    return bool(files) and (files[0].suffix == ".txt" or read_instances(files[0]).box_type == "Camera")
+
+
+def _folders(predictions: Path, data: Dataset) -> dict[str, Path]:
+    """The folder of each sequence: one a sequence below, or the folder itself for the first."""
+    sequences = list(dict.fromkeys(data.sequences))
+    folders = {name: predictions / name for name in sequences if (predictions / name).is_dir()}
+    return folders or {sequences[0]: predictions}
+
+
+def _by_sequence(predictions: Path, data: Dataset, own: Mapping[str, Any]) -> Detections:
+    """A file a frame, in a folder for each of several sequences."""
+    parts = {name: read_predictions(folder, **own) for name, folder in _folders(predictions, data).items()}
+    references = {part.reference for part in parts.values()}
+    if len(references) > 1:
+        raise ConfigError(
+            f"{predictions}: expected boxes in one set of coordinates, got {', '.join(sorted(references))}"
+        )
+    return replace(
+        next(iter(parts.values())),
+        boxes={(name, frame): boxes for name, part in parts.items() for (_, frame), boxes in part.boxes.items()},
+        notes=tuple(dict.fromkeys(note for part in parts.values() for note in part.notes)),
+    )
+
+
+def _in_cameras(predictions: Path, data: Dataset, own_reading: Mapping[str, Any]) -> Detections:
     """KITTI's results beside a data set's boxes in the same axes: KITTI's own label files, or boxes brought there.
 
     Args:
         predictions: Folder of texts, ``FRAME.txt``, or of such folders by sequence.
         data: The data set that was predicted on.
-        reference: Coordinates of predictions that do not name theirs.
+        own_reading: How the predictions are read: format, reference and more.
 
     Raises:
         ConfigError: If the predictions name other coordinates, or none is of an annotated frame.
     """
     reader = data.unwrapped
-    if isinstance(reader, Kitti) and reader.label_axes == "camera" and not data.maps:
-        return read(predictions, reader.folder / "label_2", format="kitti", reference=reference)
-    sequences = list(dict.fromkeys(data.sequences))
-    folders = {name: predictions / name for name in sequences if (predictions / name).is_dir()}
-    folders = folders or {sequences[0]: predictions}
+    as_text = own_reading["format"] != "mmdetection3d" or any(predictions.glob("*.txt"))
+    if isinstance(reader, Kitti) and reader.label_axes == "camera" and not data.maps and as_text:
+        return read(predictions, reader.folder / "label_2", format="kitti", reference=own_reading["reference"])
     boxes: dict[Key, Boxes] = {}
     details: dict[Key, Mapping[str, np.ndarray]] = {}
     notes: list[str] = []
-    for sequence, folder in folders.items():
-        detections = read_predictions(folder, format="kitti", reference=reference)
+    for sequence, folder in _folders(predictions, data).items():
+        detections = read_predictions(folder, **own_reading)
         boxes |= {(sequence, frame): predicted for (_, frame), predicted in detections.boxes.items()}
         details |= {(sequence, frame): facts for (_, frame), facts in detections.prediction_details.items()}
         notes += [note for note in detections.notes if note not in notes]
         own = coordinates_of_text(data, data[0])
-        if detections.reference not in ("", own):
+        if detections.reference not in ("", "camera", own):
             raise ConfigError(
                 f"{folder}: the boxes stand in the coordinates of {detections.reference}; those of {data.root} can be "
                 f"seen in those of {own}. Name the data set that was predicted on"
@@ -244,10 +288,11 @@ def _seen_from(frame: Frame, boxes: Boxes) -> Boxes:
 
 
 def _in_camera(data: Dataset, index: int) -> Frame:
-    """A frame with its boxes alone, under KITTI's names in the axes of its first camera, ahead, left and up."""
+    """A frame with its boxes alone, under KITTI's names in the axes of its front camera, ahead, left and up."""
     frame = data[index]
     boxes = Boxes.empty() if frame.boxes is None else frame.boxes
-    objects = objects_from_boxes(boxes, next(iter(frame.cameras.values()), VIRTUAL_CAMERA), classes=KITTI_FROM_CIRRUS)
+    camera = VIRTUAL_CAMERA if frame.front_camera is None else frame.cameras[frame.front_camera]
+    objects = objects_from_boxes(boxes, camera, classes=KITTI_FROM_CIRRUS)
     names = ("truncation", "occlusion", "box_px", "alpha_rad")
     facts = {name: getattr(objects, name) for name in names}
     details = {} if frame.annotation is None else frame.annotation.details

@@ -96,6 +96,8 @@ class Evaluation:
             :func:`farfield.metrics.breakdown.parts_json` and :func:`farfield.metrics.breakdown.by_class`.
         title: Title of the report.
         tables: Table of each result, as ``farfield score`` prints it; not saved.
+        lost: Missed objects and false boxes by result name, which stand in a file of their own: see
+            :mod:`farfield.evaluation.lost`.
         timing: What the clock measured, by result name: ``frames`` and ``median_ms``; not saved, so that equal
             evaluations are equal files.
     """
@@ -108,6 +110,7 @@ class Evaluation:
     parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     title: str = "Farfield evaluation"
     tables: Mapping[str, str] = field(default_factory=dict)
+    lost: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     timing: Mapping[str, Mapping[str, float | int]] = field(default_factory=dict)
 
     def save(self, folder: Path | str) -> Path:

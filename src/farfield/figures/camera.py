@@ -8,6 +8,7 @@ from PIL import Image, ImageDraw
 
 from farfield.figures.birds_eye import tags_of
 from farfield.figures.style import POINT, house_style, new_figure
+from farfield.frame.image_marks import ImageMarks
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
 from farfield.vocabulary.classes import CLASS_COLOURS
@@ -52,6 +53,7 @@ def camera_picture(
     annotated: Boxes | None = None,
     predicted: Boxes | None = None,
     points_m: Float[np.ndarray, "n 3"] | None = None,
+    marks: ImageMarks | None = None,
     title: str = "",
 ) -> "Figure":
     """Draw an image with projected points and boxes, in a colour a class (Cirrus, Figure 5); else the image alone.
@@ -62,6 +64,7 @@ def camera_picture(
         annotated: Annotated boxes, drawn solid.
         predicted: Predicted boxes, dashed where there are annotated ones too.
         points_m: Points in the frame of the boxes, shape (n, 3), drawn in a colour by range.
+        marks: 2D boxes as they were annotated in this image, drawn dotted; regions to be ignored grey.
         title: Title.
     """
     height, width = image.shape[:2]
@@ -76,6 +79,8 @@ def camera_picture(
                 if boxes is not None:
                     style = "dashed" if boxes is predicted and annotated is not None else "solid"
                     _draw_boxes(axes, boxes, camera, line_width, style, tagged=boxes is predicted or predicted is None)
+        if marks is not None:
+            _draw_marks(axes, marks)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
         axes.set_axis_off()
         if title:
@@ -100,6 +105,16 @@ def _draw_boxes(axes: "Axes", boxes: Boxes, camera: Camera, line_width: float, s
         axes.add_collection(lines)
         if tagged:
             _draw_tags(axes, of_class, camera, colour)
+
+
+def _draw_marks(axes: "Axes", marks: ImageMarks) -> None:
+    """The 2D boxes, in the colours of their classes."""
+    from matplotlib.patches import Rectangle
+
+    colours = [CLASS_COLOURS.get(name, POINT) for name in marks.label] + ["#808080"] * len(marks.ignored_px)
+    for (left, top, right, bottom), colour in zip((*marks.box_px, *marks.ignored_px), colours, strict=True):
+        corner, size = (float(left), float(top)), (float(right - left), float(bottom - top))
+        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=colour, linewidth=1.2, linestyle="dotted"))
 
 
 def _draw_tags(axes: "Axes", boxes: Boxes, camera: Camera, colour: str) -> None:

@@ -11,6 +11,7 @@ from farfield.figures.birds_eye import Window, birdseye, draw_birdseye, fit_wind
 from farfield.figures.plots import precision_recall
 from farfield.figures.style import INK, MUTED, figure_uri, house_style, new_figure
 from farfield.frame import Cloud, Frame
+from farfield.frame.image_marks import image_marks
 from farfield.geometry.boxes import Boxes
 
 if TYPE_CHECKING:
@@ -50,7 +51,13 @@ def frame_html(frame: Frame) -> str:
         from farfield.figures.camera import camera_picture
 
         name = next(iter(frame.images))
-        figure = camera_picture(frame.images[name], frame.cameras.get(name), annotated=frame.boxes)
+        marks = image_marks(frame)
+        figure = camera_picture(
+            frame.images[name],
+            frame.cameras.get(name),
+            annotated=frame.boxes,
+            marks=marks if marks is not None and marks.camera == name else None,
+        )
         return _words(frame) + _picture(figure, f"The image of the camera {name}")
     return _words(frame)
 

@@ -361,6 +361,28 @@ def read_raw_calib(path: Path | str) -> dict[str, Float[np.ndarray, " n"]]:
     return matrices
 
 
+def read_rows(path: Path | str, columns: int, *, largest: float = _FARTHEST_M) -> Float[np.ndarray, "n columns"]:
+    """Read rows of so many numbers, such as the odometry benchmark's poses (12) and times (1).
+
+    Args:
+        path: The file.
+        columns: Numbers a line.
+        largest: No number is larger.
+
+    Raises:
+        FileFormatError: If there is none, or a line has another number of columns or a number that is none or beyond.
+    """
+    rows = []
+    for number, line in _lines(path):
+        values = _floats(line, path, number)
+        if len(values) != columns or not (np.abs(values) <= largest).all():
+            raise _wrong(path, number, f"{columns} numbers of at most {largest:g}", repr(line[:60]))
+        rows.append(values)
+    if not rows:
+        raise _wrong(path, 1, f"lines of {columns} numbers", "an empty file")
+    return np.stack(rows)
+
+
 def _floats(text: str, path: Path | str, line: int) -> Float[np.ndarray, " n"]:
     try:
         values = np.array([float(word) for word in text.split()], dtype=np.float64)

@@ -11,17 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from farfield.errors import FileFormatError
+from farfield.files.epsg_metres import is_in_metres
 
 KEYS_RECORD, WKT_RECORD = ("LASF_Projection", 34735), ("LASF_Projection", 2112)
 _MODEL, _PROJECTED, _LENGTH_UNIT, _VERTICAL, _HEIGHT_UNIT = 1024, 3072, 3076, 4096, 4099
 _USER_DEFINED, _METRE = 32767, 9001
 _UNITS = {9002: "feet", 9003: "US survey feet", 9005: "Clarke's feet", 9014: "fathoms", 9036: "kilometres"}
-_IN_METRES = (
-    (32601, 32660), (32701, 32760), (25828, 25838), (26901, 26923), (31466, 31469), (6669, 6687), (2443, 2461),
-    (28348, 28358), (7846, 7859), (2154, 2154), (2056, 2056), (21781, 21781), (28992, 28992), (3006, 3006),
-    (3067, 3067), (5179, 5179), (5186, 5186), (2193, 2193), (27700, 27700),
-)  # fmt: skip
-"""EPSG's projected systems whose unit is the metre: UTM on several datums, and those of whole countries."""
 _HEIGHTS_IN_FEET = {6360: "US survey feet", 8228: "feet", 5702: "US survey feet"}
 _OF_LENGTHS = ("PROJCS", "PROJCRS", "PROJECTEDCRS", "LOCAL_CS", "ENGCRS", "VERT_CS", "VERTCRS", "VERTICALCRS")
 _MAX_WKT, _MAX_DEPTH = 1 << 16, 32
@@ -87,8 +82,9 @@ def _check_keys(keys: Mapping[int, int], path: Path | str) -> None:
     if unit is None and (model == 1 or code is not None):
         if code is None or code == _USER_DEFINED:
             raise _refused(path, where, "a projection whose unit is not told")
-        if not any(low <= code <= high for low, high in _IN_METRES):
-            raise _refused(path, where, f"EPSG:{code} without its unit, which Farfield cannot look up")
+        if not is_in_metres(code):
+            what = f"EPSG:{code} without its unit, which is none of EPSG's systems in metres east and north"
+            raise _refused(path, where, what)
     height, vertical = keys.get(_HEIGHT_UNIT), keys.get(_VERTICAL, 0)
     if height is not None and height != _METRE:
         raise _refused(path, where, f"heights in {_UNITS.get(height, f'the unit of EPSG code {height}')}")

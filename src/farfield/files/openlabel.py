@@ -34,14 +34,11 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
         FileFormatError: If it is not of this form.
     """
     content = parse_json(data, path)
-    root = content.get(_ROOT) if isinstance(content, dict) else None
-    if not isinstance(root, dict):
-        raise FileFormatError(path, where="the root", expected="an object 'openlabel'", got=repr(content)[:80])
-    types = _mapping(root.get("objects", {}), path, "objects")
+    frames = parsed_frames(content, path)
+    types = _mapping(content[_ROOT].get("objects", {}), path, "objects")
     cuboids: list[CuboidEntry] = []
     lengths: set[int] = set()
-    for number, frame in _mapping(root.get("frames", {}), path, "frames").items():
-        frame = _mapping(frame, path, f"frame {number}")
+    for number, frame in frames.items():
         name = frame_name(number, frame, path)
         for uid, entry in _mapping(frame.get("objects", {}), path, f"frame {number}").items():
             where = f"frame {number}, object {uid}"
@@ -58,6 +55,19 @@ def parse_openlabel(data: bytes, path: Path | str) -> tuple[CuboidEntry, ...]:
                 steps = (_ROOT, "frames", number, "objects", uid, "object_data", "cuboid", index)
                 cuboids.append(CuboidEntry(steps, _cuboid(_mapping(cuboid, path, where), name, kind, uid, path, where)))
     return tuple(cuboids)
+
+
+def parsed_frames(content: Any, path: Path | str) -> dict[str, dict[str, Any]]:
+    """The frames of a file by their numbers.
+
+    Raises:
+        FileFormatError: If it is not of this form.
+    """
+    root = content.get(_ROOT) if isinstance(content, dict) else None
+    if not isinstance(root, dict):
+        raise FileFormatError(path, where="the root", expected="an object 'openlabel'", got=repr(content)[:80])
+    frames = _mapping(root.get("frames", {}), path, "frames")
+    return {number: _mapping(frame, path, f"frame {number}") for number, frame in frames.items()}
 
 
 def frame_name(number: str, frame: Mapping[str, Any], path: Path | str) -> str:
@@ -128,14 +138,14 @@ def _val(cuboid: Cuboid) -> list[float]:
 def entry_of(cuboid: Cuboid) -> dict[str, Any]:
     """A whole new cuboid."""
     entry: dict[str, Any] = {"name": "box", "val": _val(cuboid), "coordinate_system": SYSTEM}
-    kinds = {"text": str, "boolean": bool, "num": float}
+    kinds: dict[str, tuple[type, ...]] = {"text": (str,), "boolean": (bool,), "num": (int, float)}
     groups = {
         kind: [
             {"name": name, "val": attribute}
             for name, attribute in cuboid.attributes.items()
-            if type(attribute) is python_type
+            if type(attribute) in python_types
         ]
-        for kind, python_type in kinds.items()
+        for kind, python_types in kinds.items()
     }
     held = {kind: group for kind, group in groups.items() if group}
     return entry | ({"attributes": held} if held else {})

@@ -146,7 +146,7 @@ class Cloud(Locked):
         """One column as float32, shape (n,): ``x_m``, ``y_m``, ``z_m``, ``intensity`` or one of ``extra``.
 
         ``lag_s``, the age of a point's sweep, is zero where the cloud does not have it; so is the intensity of a
-        LiDAR's cloud that has none, with a warning.
+        LiDAR's cloud that has none, with a warning. An absent ``sweep`` (before the present one) is 1 for old points.
 
         Raises:
             ConfigError: If the cloud has no such column.
@@ -157,7 +157,9 @@ class Cloud(Locked):
             return self.intensity
         if name in self.extra:
             return self.extra[name].astype(np.float32, copy=False)
-        if name == "lag_s":
+        if name == "sweep" and "lag_s" in self.extra and OFFSET_COLUMN not in self.extra:
+            return ((self.extra["lag_s"] != 0) & bool((self.extra["lag_s"] == 0).any())).astype(np.float32)
+        if name in ("lag_s", "sweep"):
             return np.zeros(len(self), dtype=np.float32)
         if name == "intensity" and self.kind == "lidar":
             warnings.warn(

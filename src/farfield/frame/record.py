@@ -24,6 +24,7 @@ from farfield.registry import display_html
 
 Pose = Float[np.ndarray, "4 4"]
 Kind = Literal["lidar", "radar", "camera"]
+_AHEAD, _BESIDE_RAD = 0.5, np.deg2rad(5.0)  # share of a camera's axis along x at least; between cameras alike
 _NO_LENGTH = 1e-9  # metres, and parts of a unit vector: what inverting and multiplying poses leaves
 
 
@@ -211,6 +212,21 @@ class Frame(Locked):
         usual = {"sequence": "memory", "frame_id": "0", "reference": next(iter(sensors.values())).kind}
         load = None if annotation is None else Constant(annotation)
         return cls(clouds=named_clouds, load_annotation=load, **{**usual, "sensors": sensors, **rest})
+
+    @property
+    def front_camera(self) -> str | None:
+        """Name of the calibrated camera that looks ahead, along x: what layouts of one camera hold.
+
+        Of those with a picture, where there is one, the first whose axis lies within 5 degrees of the one that lies
+        nearest to x; the first of all where none looks ahead. None without a calibrated camera.
+        """
+        names = [name for name in self.cameras if name in self.images] or list(self.cameras)
+        ahead = {name: float(self.cameras[name].camera_T_lidar[2, 0]) for name in names}
+        best = max(ahead.values(), default=0.0)
+        if best < _AHEAD:
+            return next(iter(names), None)
+        limit_rad = np.arccos(min(best, 1.0)) + _BESIDE_RAD
+        return next(name for name in names if np.arccos(np.clip(ahead[name], -1, 1)) <= limit_rad)
 
     def __repr__(self) -> str:
         """Its name and what it holds, in one line; nothing is loaded for it."""

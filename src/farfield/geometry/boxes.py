@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, Num, Shaped
 
-from farfield.errors import ConfigError
 from farfield.files.boxes_csv import columns_of, fields_of, read_fields, rows_of, write_fields
 from farfield.files.limits import MAX_NAME
+from farfield.files.tables import columns_in, table_of
 from farfield.geometry.arrays import Locked
 from farfield.geometry.poses import check_rigid
-from farfield.registry import display_html, named
+from farfield.registry import display_html
 
 _CORNER_SIGNS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) / 2.0
 
@@ -148,6 +148,19 @@ class Boxes(Locked):
     def __len__(self) -> int:
         return len(self.yaw_rad)
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Float[np.ndarray, "n 7"]:
+        """What ``np.asarray(boxes)`` gives: the rows of :meth:`to_numpy`."""
+        del copy
+        return self.to_numpy() if dtype is None else self.to_numpy().astype(dtype)
+
+    def __add__(self, other: object) -> "Boxes":
+        """Both sets as one, see :meth:`concatenate`."""
+        return Boxes.concatenate([self, other]) if isinstance(other, Boxes) else NotImplemented
+
+    def __radd__(self, other: object) -> "Boxes":
+        """So that ``sum`` of a list of sets joins them."""
+        return self if isinstance(other, int) and other == 0 else NotImplemented
+
     def __getitem__(
         self, index: int | slice | Bool[np.ndarray, " n"] | Int[np.ndarray, " k"] | Sequence[int]
     ) -> "Boxes":
@@ -222,7 +235,7 @@ class Boxes(Locked):
 
     @classmethod
     def from_pandas(cls, table: Any) -> "Boxes":
-        """Boxes of a DataFrame, or of anything with named columns: those of a CSV file.
+        """Boxes of a DataFrame of pandas or polars, or of anything with named columns: those of a CSV file.
 
         Args:
             table: The rows of one frame: label, x, y, z, l, w, h, yaw_rad, and perhaps score, track_id, point_count,
@@ -231,7 +244,8 @@ class Boxes(Locked):
         Raises:
             ConfigError: If a column is missing, rows are those of several frames, or yaw stands in degrees.
         """
-        return cls(**fields_of(table))
+        columns = columns_in(table)
+        return cls(**fields_of(table if columns is None else columns))
 
     def to_pandas(self) -> Any:
         """The boxes as a DataFrame, a row a box.
@@ -239,11 +253,15 @@ class Boxes(Locked):
         Raises:
             ConfigError: If pandas is not installed.
         """
-        try:
-            frame = named("pandas:DataFrame")
-        except ImportError as error:
-            raise ConfigError("Boxes.to_pandas needs pandas. Install it with: pip install pandas") from error
-        return frame(self.columns())
+        return table_of(self.columns(), "pandas", "Boxes.to_pandas")
+
+    def to_polars(self) -> Any:
+        """The boxes as a DataFrame of polars, a row a box.
+
+        Raises:
+            ConfigError: If polars is not installed.
+        """
+        return table_of(self.columns(), "polars", "Boxes.to_polars")
 
     def replace(self, **changes: Any) -> "Boxes":
         """Return a copy with the named fields replaced."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from farfield.metrics.kitti.evaluation import KittiResult, KittiSettings, evaluate_kitti
     from farfield.metrics.kradar.evaluation import KRadarResult, evaluate_kradar
     from farfield.metrics.kradar.settings import KRadarSettings, kradar_settings
+    from farfield.metrics.running import RunningMetric, running_metric
     from farfield.metrics.tracking.nuscenes import NuScenesTrackingResult, NuScenesTrackingSettings
     from farfield.metrics.tracking.protocol import TrackingResult
     from farfield.metrics.tracking.scene import TrackingSettings
@@ -46,6 +47,7 @@ __all__ = [
     "Presenter",
     "Protocol",
     "Result",
+    "RunningMetric",
     "TrackingResult",
     "TrackingSettings",
     "WaymoLetSettings",
@@ -59,6 +61,7 @@ __all__ = [
     "evaluate_waymo",
     "kradar_settings",
     "protocol",
+    "running_metric",
     "score",
     "scored_labels",
 ]
@@ -70,6 +73,7 @@ _MODULES = {
     "centre.nuscenes": ("NuScenesResult", "NuScenesSettings", "evaluate_nuscenes"),
     "kitti.evaluation": ("KittiResult", "KittiSettings", "evaluate_kitti"),
     "kradar.evaluation": ("KRadarResult", "evaluate_kradar"),
+    "running": ("RunningMetric", "running_metric"),
     "kradar.settings": ("KRadarSettings", "kradar_settings"),
     "tracking.nuscenes": ("NuScenesTrackingResult", "NuScenesTrackingSettings"),
     "tracking.protocol": ("TrackingResult",),
@@ -77,11 +81,29 @@ _MODULES = {
     "waymo.evaluation": ("WaymoResult", "evaluate_waymo"),
     "waymo.settings": ("WaymoLetSettings", "WaymoSettings"),
 }
+_METRICS = {
+    "Argoverse2": "argoverse2",
+    "DDS": "dds",
+    "KITTI": "kitti",
+    "KRadar": "kradar",
+    "KRadarCompat": "kradar-compat",
+    "NuScenes": "nuscenes",
+    "NuScenesDetection": "nuscenes-detection",
+    "NuScenesTracking": "nuscenes-tracking",
+    "OpenSweeps": "open-sweeps",
+    "TrackingMetric": "tracking",
+    "Waymo": "waymo",
+    "WaymoLET": "waymo-let",
+}
+"""Protocols that ship, by the names of their metrics in a loop; :func:`running_metric` takes any protocol."""
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Import what belongs to one protocol when it is used."""
+    """Import what belongs to one protocol when it is used; ``DDS`` and its like are the metrics in a loop."""
+    if name in _METRICS:
+        kind: Any = import_module(f"{__name__}.running").metric_class(_METRICS[name])
+        return kind
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -4,8 +4,7 @@ Boxes of KITTI stay in the camera that they were given in; only its axes are tur
 and centres are lifted from the bottom face to the middle. Ranges are then distances from the camera.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -17,24 +16,45 @@ from farfield.files.boxes_csv import BoxRows, read_boxes_csv, zeros_note
 from farfield.files.coordinates import read_coordinates
 from farfield.files.kitti import KittiObjects, KittiTracks, read_detections, read_labels, read_tracking
 from farfield.files.limits import open_file
+from farfield.files.mmdetection3d import read_instances
 from farfield.files.nuscenes import read_results_in
 from farfield.files.stand_ins import check_itself
 from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.kitti import upright_from_camera
+from farfield.metrics.box_side import BoxSide
 from farfield.metrics.detections import Detections
-from farfield.metrics.frames import check_crowd
+from farfield.metrics.kit_folders import (
+    ANNOTATED,
+    PREDICTED,
+    described,
+    kit_folder,
+    read_kit_text,
+    renamed,
+    results_folder,
+    settle_axes,
+)
 from farfield.metrics.result import labels_fingerprint
-from farfield.metrics.sanity import beyond_a_turn, wild_headings
+from farfield.metrics.sanity import wild_headings
 from farfield.metrics.submissions import SubmittedFrame, argoverse2_frames, waymo_frames
 from farfield.vocabulary.counts import count_of
 
-_Details = dict[Key, dict[str, np.ndarray]]
-FORMATS = ("boxes-csv", "kitti", "kitti-tracking", "nuscenes", "argoverse2", "waymo")
+FORMATS = (
+    *("boxes-csv", "kitti", "kitti-tracking", "nuscenes", "argoverse2", "waymo", "kradar", "openpcdet"),
+    "mmdetection3d",
+)
 
 
-def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-csv", reference: str = "") -> Detections:
+def read(
+    predictions: Path | str,
+    labels: Path | str,
+    *,
+    format: str = "boxes-csv",
+    reference: str = "",
+    axes: str = "",
+    class_names: Sequence[str] = (),
+) -> Detections:
     """Read two files, or two folders whose files are paired by their stems.
 
     Args:
@@ -43,8 +63,12 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         format: ``"boxes-csv"``, ``"kitti"`` (a file a frame), ``"kitti-tracking"`` (a file a sequence),
             ``"nuscenes"`` (result JSON of detections or tracks; its samples are frames of one sequence without a name,
             tracks are numbered in the order in which they appear), ``"argoverse2"`` (feather: frames are stamps of a
-            log) or ``"waymo"`` (Objects or Submission: frames are stamps of a context).
+            log), ``"waymo"`` (Objects or Submission: frames are stamps of a context), ``"kradar"`` (folders of
+            K-Radar's kit, with their conditions), ``"openpcdet"`` (its KITTI texts) or ``"mmdetection3d"`` (its
+            inferencer's JSON, or its KITTI texts).
         reference: Coordinates in which boxes stand whose files do not name them.
+        axes: Axes of the kit's texts, see :mod:`farfield.metrics.kit_axes`; unless given they are decided.
+        class_names: mmdetection3d's classes in the order of their numbers, where its files do not name them.
 
     Returns:
         Every frame of either side is annotated, the empty ones too. KITTI's formats give the annotations' details
@@ -58,14 +82,23 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
     """
     if format not in FORMATS:
         raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+    _check_choices(format, axes, class_names)
     notes: list[str] = []
-    predicted, annotated = _SideBoxes(scored=True), _SideBoxes(scored=False)
+    predictions, labels = _folder(predictions, format), _folder(labels, format, ANNOTATED)
+    names = tuple(class_names)
+    predicted, annotated = BoxSide(scored=True, class_names=names), BoxSide(scored=False, class_names=names)
     read = _READERS[format]
-    for predicted_path, label_path in _pairs(Path(predictions), Path(labels), notes):
+    for predicted_path, label_path in _pairs(predictions, labels, notes):
         stem = label_path.stem if Path(labels).is_dir() or format == "kitti-tracking" else ""
         read(annotated, label_path, stem)
         if predicted_path is not None:
             read(predicted, predicted_path, stem)
+    conditions: dict[Key, dict[str, str]] = {}
+    if format == "kradar":
+        notes.append(settle_axes(annotated, predicted, axes))
+        conditions = described(labels, [*annotated.boxes])
+        conditions = conditions or described(predictions, [*predicted.boxes])
+    notes += list(dict.fromkeys([*predicted.notes, *annotated.notes]))
     _share_sequence(predicted, annotated, notes)
     facts = _seen_from_the_car(predicted, annotated, notes) if format == "nuscenes" else {}
     fingerprint = labels_fingerprint({key: Annotation(boxes=boxes) for key, boxes in annotated.boxes.items()})
@@ -87,19 +120,45 @@ def read(predictions: Path | str, labels: Path | str, *, format: str = "boxes-cs
         boxes=predicted.boxes,
         annotations={key: _annotation(boxes, annotated.details.get(key, {})) for key, boxes in annotated.boxes.items()},
         prediction_details={key: _split_details(columns)[0] for key, columns in predicted.details.items()},
+        conditions={key: words for key, words in conditions.items() if key in annotated.boxes},
         facts=facts,
         labels_fingerprint=fingerprint,
         notes=tuple(notes),
     ).with_oddities()
 
 
-def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", reference: str = "") -> Detections:
+def _check_choices(format: str, axes: str, class_names: Sequence[str]) -> None:
+    for flag, value, own in (("axes", axes, "kradar"), ("class_names", class_names, "mmdetection3d")):
+        if value and format != own:
+            raise ConfigError(
+                f"--{flag.replace('_', '-')}: expected --format {own}, whose files it is for; got {format}"
+            )
+
+
+def _folder(path: Path | str, format: str, sides: Sequence[str] = PREDICTED) -> Path:
+    """Where the files of a side stand, below what was named."""
+    path = Path(path)
+    if format == "kradar":
+        return kit_folder(path, sides)
+    return results_folder(path) if format in ("openpcdet", "mmdetection3d") else path
+
+
+def read_predictions(
+    predictions: Path | str,
+    *,
+    format: str = "boxes-csv",
+    reference: str = "",
+    axes: str = "",
+    class_names: Sequence[str] = (),
+) -> Detections:
     """Read a detector's boxes alone, of a file or of the files of a folder, without annotations.
 
     Args:
         predictions: File or folder.
         format: One of :func:`read`.
-        reference: As of :func:`read`.
+        reference: As of :func:`read`, and so are the next two.
+        axes: Axes of the kit's texts.
+        class_names: mmdetection3d's classes.
 
     Raises:
         ConfigError: If there is nothing to read, the format is unknown, or the files name other coordinates.
@@ -107,12 +166,17 @@ def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", refe
     """
     if format not in FORMATS:
         raise ConfigError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    root, predicted = Path(predictions), _SideBoxes(scored=True)
+    _check_choices(format, axes, class_names)
+    root = _folder(predictions, format)
+    predicted, annotated = BoxSide(scored=True, class_names=tuple(class_names)), BoxSide(scored=False)
     if not root.exists():
         raise ConfigError(f"{root}: expected a file or a folder, found nothing there")
     _refuse_pickle(root)
     for stem, path in sorted(_files(root).items()) if root.is_dir() else [(root.stem, root)]:
         _READERS[format](predicted, path, stem if root.is_dir() or format != "boxes-csv" else "")
+    if format == "kradar":
+        predicted.notes.append(settle_axes(annotated, predicted, axes))
+        renamed(predicted, root)
     note = (
         f"{count_of(predicted.without_score, 'prediction has', 'predictions have')} no score; each counts with score 1"
     )
@@ -122,7 +186,7 @@ def read_predictions(predictions: Path | str, *, format: str = "boxes-csv", refe
         boxes=predicted.boxes,
         annotations={},
         prediction_details={key: _split_details(columns)[0] for key, columns in predicted.details.items()},
-        notes=(note,) if predicted.without_score else (),
+        notes=(*dict.fromkeys(predicted.notes), *((note,) if predicted.without_score else ())),
     )
 
 
@@ -135,52 +199,6 @@ def _split_details(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndar
     """Rows of boxes, and what stands beside them."""
     beside = {name: rows for name, rows in columns.items() if name == "dontcare_px"}
     return {name: rows for name, rows in columns.items() if name not in beside}, beside
-
-
-@dataclass(eq=False)
-class _SideBoxes:
-    """The boxes of one side as they are read."""
-
-    scored: bool
-    boxes: dict[Key, Boxes] = field(default_factory=dict)
-    details: _Details = field(default_factory=dict)
-    without_score: int = 0
-    scored_rows: int = 0
-    headings: tuple[int, int] = (0, 0)  # beyond a turn, of how many
-    reference: str = ""
-    ego_m: dict[Key, np.ndarray] = field(default_factory=dict)
-
-    def stands_in(self, path: Path, reference: str) -> None:
-        """Note the coordinates that a file names."""
-        if self.reference and reference and self.reference != reference:
-            raise ConfigError(
-                f"{path}: expected boxes in the coordinates of {self.reference}, as in the files before; they stand in "
-                f"those of {reference}"
-            )
-        self.reference = self.reference or reference
-
-    def add(self, path: Path, key: Key, boxes: Boxes, details: dict[str, np.ndarray] | None = None) -> None:
-        if key in self.boxes:
-            raise ConfigError(f"{path}: expected each frame in one file, got {key} for the second time")
-        check_crowd(f"{path}, frame {key}", len(boxes))
-        self.boxes[key] = boxes
-        if details is not None:
-            self.details[key] = details
-
-    def turned(self, yaw_rad: np.ndarray) -> None:
-        """Note the headings of a file as they stand there: boxes keep them modulo a turn."""
-        beyond, total = self.headings
-        self.headings = (beyond + beyond_a_turn(yaw_rad), total + len(yaw_rad))
-
-    def scores(self, score: np.ndarray | None, count: int) -> np.ndarray | None:
-        """Scores for predictions (1 where the file has none), None for annotated boxes."""
-        if not self.scored:
-            self.scored_rows += 0 if score is None else count
-            return None
-        if score is None:
-            self.without_score += count
-            return np.ones(count)
-        return score
 
 
 _FROM_PICKLE = (
@@ -265,7 +283,7 @@ def _mappings_beside(*paths: Path) -> list[str]:
 _IN_THE_WORLD_M = 1000.0  # half of the boxes farther away than this do not stand in a sensor's coordinates
 
 
-def _seen_from_the_car(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> dict[str, str]:
+def _seen_from_the_car(predicted: BoxSide, annotated: BoxSide, notes: list[str]) -> dict[str, str]:
     """Move boxes of the world to where the car is the origin, if either side says where it stood.
 
     Returns:
@@ -286,7 +304,7 @@ def _seen_from_the_car(predicted: _SideBoxes, annotated: _SideBoxes, notes: list
     return {}
 
 
-def _share_sequence(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> None:
+def _share_sequence(predicted: BoxSide, annotated: BoxSide, notes: list[str]) -> None:
     """Where one side names no sequence and the other a single one, that is the sequence of both."""
     sides = {"predictions": predicted, "labels": annotated}
     for (side_name, side), (other_word, other) in zip(sides.items(), reversed(sides.items()), strict=True):
@@ -301,7 +319,7 @@ def _share_sequence(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[st
         )
 
 
-def _name_coordinates(side: _SideBoxes, path: Path, reference: str) -> None:
+def _name_coordinates(side: BoxSide, path: Path, reference: str) -> None:
     """Take the coordinates that stand beside the files, and those that were given for files which name none."""
     side.stands_in(path, read_coordinates(path) if path.is_dir() else "")
     if reference and side.reference and reference != side.reference:
@@ -309,7 +327,7 @@ def _name_coordinates(side: _SideBoxes, path: Path, reference: str) -> None:
     side.reference = side.reference or reference
 
 
-def _agreed(predicted: _SideBoxes, annotated: _SideBoxes, notes: list[str]) -> str:
+def _agreed(predicted: BoxSide, annotated: BoxSide, notes: list[str]) -> str:
     """The coordinates of both sides."""
     predicted_in, annotated_in = predicted.reference, annotated.reference
     if predicted_in and annotated_in and predicted_in != annotated_in:
@@ -371,7 +389,7 @@ def _groups(*columns: Shaped[np.ndarray, " n"]) -> list[tuple[tuple[str, ...], n
     return [(names, np.array(indices)) for names, indices in rows.items()]
 
 
-def _read_csv(side: _SideBoxes, path: Path, stem: str) -> None:
+def _read_csv(side: BoxSide, path: Path, stem: str) -> None:
     rows: BoxRows = read_boxes_csv(path)
     side.stands_in(path, rows.stands_in)
     side.turned(rows.yaw_rad)
@@ -391,12 +409,12 @@ def _read_csv(side: _SideBoxes, path: Path, stem: str) -> None:
         side.add(path, (name, frame), boxes[index], details)
 
 
-def _read_kitti(side: _SideBoxes, path: Path, stem: str) -> None:
+def _read_kitti(side: BoxSide, path: Path, stem: str) -> None:
     objects = read_labels(path)
     side.add(path, ("", stem), *_split(side, path, objects))
 
 
-def _read_kitti_tracking(side: _SideBoxes, path: Path, stem: str) -> None:
+def _read_kitti_tracking(side: BoxSide, path: Path, stem: str) -> None:
     check_itself(path)
     with open_file(path, max_bytes=None) as handle:
         commas = b"," in handle.readline(4096)
@@ -415,7 +433,7 @@ def _read_kitti_tracking(side: _SideBoxes, path: Path, stem: str) -> None:
         side.add(path, (stem, *key), boxes[real.get(key, none)], facts)
 
 
-def _read_nuscenes(side: _SideBoxes, path: Path, stem: str) -> None:
+def _read_nuscenes(side: BoxSide, path: Path, stem: str) -> None:
     del stem
     numbers: dict[str, int] = {}
     samples, stands_in = read_results_in(path)
@@ -438,7 +456,7 @@ def _read_nuscenes(side: _SideBoxes, path: Path, stem: str) -> None:
 
 
 def _read_submission(
-    reader: Callable[..., Iterator[SubmittedFrame]], reference: str, side: _SideBoxes, path: Path, stem: str
+    reader: Callable[..., Iterator[SubmittedFrame]], reference: str, side: BoxSide, path: Path, stem: str
 ) -> None:
     del stem
     side.stands_in(path, reference)
@@ -447,7 +465,53 @@ def _read_submission(
         side.add(path, frame.key, boxes, dict(frame.details))
 
 
-def _split(side: _SideBoxes, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:
+def _read_mmdetection3d(side: BoxSide, path: Path, stem: str) -> None:
+    """A frame's JSON of the inferencer; its KITTI texts, which stand in the camera, are KITTI's."""
+    if path.suffix != ".json":
+        _read_kitti(side, path, stem)
+        return
+    instances = read_instances(path)
+    names = side.class_names or instances.classes
+    highest = int(instances.class_number.max(initial=-1))
+    if highest >= len(names):
+        raise FileFormatError(
+            path,
+            where="labels_3d",
+            expected=f"a name for each number, {highest} the highest here",
+            got=f"{count_of(len(names), 'name')}",
+            fix="Say --class-names Pedestrian,Cyclist,Car: the model's classes in their order, as its configuration "
+            "has them (class_names).",
+        )
+    if side.class_names and instances.classes and side.class_names != instances.classes:
+        raise ConfigError(
+            f"{path}: names its classes {', '.join(instances.classes)}, but --class-names says "
+            f"{', '.join(side.class_names)}"
+        )
+    side.turned(instances.box[:, 6])
+    x, y, z, *sizes, turn = instances.box.T
+    if instances.box_type == "Camera":
+        length, height, width = sizes
+        side.stands_in(path, instances.reference or "camera")
+        centre, size, yaw = upright_from_camera(
+            np.column_stack([x, y, z]), np.column_stack([height, width, length]), turn
+        )
+    else:
+        side.stands_in(path, instances.reference)
+        size, yaw = np.column_stack(sizes), turn
+        centre = np.column_stack([x, y, z + sizes[2] / 2])
+    velocity = instances.velocity_m_s if instances.box_type == "LiDAR" else None
+    boxes = Boxes(
+        centre_m=centre,
+        size_m=size,
+        yaw_rad=yaw,
+        label=np.array([names[number] for number in instances.class_number.tolist()], dtype=np.str_),
+        score=side.scores(instances.score, len(instances)),
+        velocity_m_s=velocity,
+    )
+    side.add(path, ("", stem), boxes)
+
+
+def _split(side: BoxSide, path: Path, objects: KittiObjects) -> tuple[Boxes, dict[str, np.ndarray]]:
     """Boxes with their 2D facts; DontCare regions stand beside them."""
     dontcare = objects.type == "DontCare"
     extent_m = np.column_stack([objects.size_m, np.abs(objects.bottom_m)])
@@ -468,13 +532,16 @@ def _split(side: _SideBoxes, path: Path, objects: KittiObjects) -> tuple[Boxes, 
     return kitti_boxes(real, score=side.scores(real.score, len(real))), details
 
 
-_READERS: dict[str, Callable[[_SideBoxes, Path, str], None]] = {
+_READERS: dict[str, Callable[[BoxSide, Path, str], None]] = {
     "boxes-csv": _read_csv,
     "kitti": _read_kitti,
     "kitti-tracking": _read_kitti_tracking,
     "nuscenes": _read_nuscenes,
     "argoverse2": partial(_read_submission, argoverse2_frames, "ego"),
     "waymo": partial(_read_submission, waymo_frames, ""),
+    "kradar": read_kit_text,
+    "openpcdet": _read_kitti,
+    "mmdetection3d": _read_mmdetection3d,
 }
 
 

@@ -10,8 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from farfield.errors import ConfigError
 from farfield.files.disk_dict import MappedView, alike
+from farfield.frame.drive import Key
+from farfield.frame.where import ANNOTATED_COLUMNS, Where
 from farfield.geometry.boxes import Boxes
+from farfield.metrics.centre.matching import found_by
 from farfield.metrics.detections import PROTOCOLS, Detections, Protocol
 from farfield.metrics.frames import BoxesByFrame
 from farfield.metrics.result import Result, nest
@@ -102,6 +106,56 @@ def parts_json(scored: Mapping[str, Mapping[str, Result]]) -> dict[str, Any]:
             tree["counts"].setdefault(kind, {})[value] = counts
             tree["intervals"][f"{kind}/{value}"] = nest(part.intervals.get("overall", {}))
     return tree
+
+
+def of_slice(detections: Detections, where: Where) -> Detections:
+    """The boxes that fulfil a condition, predicted and annotated, and the frames in which some may.
+
+    Predicted boxes lack some columns, such as the number of points: where the condition asks for one, a predicted box
+    goes with the annotated one that it finds, and stays where it finds none.
+
+    Args:
+        detections: Detections.
+        where: The condition.
+
+    Raises:
+        ConfigError: If no annotated box fulfils it.
+    """
+    counted = detections.counted()
+    boxes, annotations = alike(counted.boxes), alike(counted.annotations)
+    details: dict[Key, Any] = {}
+    before, after = [0, 0], [0, 0]
+    for key, annotation in counted.annotations.items():
+        conditions, predicted = counted.conditions.get(key, {}), counted.boxes[key]
+        before = [before[0] + len(annotation.boxes), before[1] + len(predicted)]
+        if not where.of_frame(key, conditions):
+            continue
+        marked = where.of_boxes(annotation.boxes, key, conditions, annotation)
+        if where.columns & set(ANNOTATED_COLUMNS):
+            finder = found_by(predicted, annotation.boxes)
+            inside = np.ones(len(predicted), dtype=bool)
+            inside[finder[(finder >= 0) & ~marked]] = False
+        else:
+            inside = where.of_boxes(predicted, key, conditions)
+        boxes[key], annotations[key] = predicted[inside], annotation[marked]
+        after = [after[0] + int(marked.sum()), after[1] + int(inside.sum())]
+        if key in counted.prediction_details:
+            rows = counted.prediction_details[key]
+            details[key] = {name: np.asarray(values)[inside] for name, values in rows.items()}
+    if not after[0]:
+        raise ConfigError(f"--where {where.text}: expected annotated boxes that fulfil it, found none of {before[0]}")
+    note = (
+        f"where {where.text}: {after[0]} of {before[0]} annotated and {after[1]} of {before[1]} predicted boxes count, "
+        f"in {len(annotations)} of {len(counted.annotations)} frames"
+    )
+    return replace(
+        counted,
+        boxes=boxes,
+        annotations=annotations,
+        prediction_details=details,
+        conditions={key: values for key, values in counted.conditions.items() if key in annotations},
+        notes=(*counted.notes, note),
+    )
 
 
 def _of_frames(detections: Detections, keys: Collection[Any]) -> Detections:

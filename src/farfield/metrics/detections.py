@@ -24,7 +24,7 @@ from farfield.geometry.boxes import Boxes
 from farfield.metrics.annotated_fields import OutsideCounts, inside_field
 from farfield.metrics.bootstrap import Weighted
 from farfield.metrics.frames import BoxesByFrame, check_crowd, labels_of
-from farfield.metrics.options import check_numbers, merged_relabel, option_text
+from farfield.metrics.options import check_numbers, merged_relabel, option_text, with_bootstrap
 from farfield.metrics.presenting import Presentation, Presenter
 from farfield.metrics.result import (
     Result,
@@ -120,6 +120,7 @@ class Protocol(ABC):
         Raises:
             ConfigError: If a setting is unknown or impossible.
         """
+        options = with_bootstrap(self.options(), options)
         unknown = sorted(set(options) - set(self.options()))
         if unknown:
             expected = ", ".join(self.options())

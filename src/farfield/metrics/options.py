@@ -1,13 +1,14 @@
 """Settings of protocols: checked, as JSON, as one line of text, and read from words."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from farfield.errors import ConfigError
+from farfield.metrics.bootstrap import Bootstrap
 
 
 def check_range_bins(edges_m: tuple[float, ...]) -> None:
@@ -30,6 +31,27 @@ def check_numbers(settings: Any) -> None:
 
 
 _OPEN = ("range_bins_m", "window_m", "region")
+
+
+def with_bootstrap(names: Collection[str], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options in which ``replicates`` and ``seed``, as the flags are called, are the setting ``bootstrap``.
+
+    A protocol without intervals has none to draw, so that both say nothing there.
+
+    Args:
+        names: The protocol's settings.
+        options: What was given.
+
+    Raises:
+        ConfigError: If ``bootstrap`` is given too.
+    """
+    chosen = {name: options[name] for name in ("replicates", "seed") if name in options and name not in names}
+    others = {name: value for name, value in options.items() if name not in chosen}
+    if not chosen or "bootstrap" not in names:
+        return others
+    if others.get("bootstrap") is not None:
+        raise ConfigError("bootstrap: expected it, or replicates and seed; got both")
+    return {**others, "bootstrap": Bootstrap(**chosen)}
 
 
 def merged_relabel(own: Mapping[str, str], chosen: Mapping[str, str]) -> dict[str, str]:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from farfield.files.tables import table_of
 from farfield.frame.annotation import Annotation
 from farfield.frame.drive import Key
 from farfield.metrics.bootstrap import Statistics
@@ -223,6 +224,28 @@ class Result:
             intervals={**self.intervals, **{name: blank[name] for name in ranges if name in self.intervals}},
             curves={**self.curves, **{name: None for name in ranges if name in self.curves}},
         )
+
+    def columns(self) -> dict[str, list[Any]]:
+        """The figures as columns: ``figure``, ``part`` (``overall`` or a range bin), ``value``, ``low``, ``high``."""
+        rows = [
+            (name, part, value, *((self.intervals.get(part) or {}).get(name) or (None, None)))
+            for part, figures in {"overall": self.figures, **self.ranges}.items()
+            for name, value in figures.items()
+        ]
+        names = ("figure", "part", "value", "low", "high")
+        return {name: [row[number] for row in rows] for number, name in enumerate(names)}
+
+    def to_pandas(self) -> Any:
+        """The figures as a DataFrame, a row a figure and part, with their 95 % intervals where there are any.
+
+        Raises:
+            ConfigError: If pandas is not installed.
+        """
+        return table_of(self.columns(), "pandas", "Result.to_pandas")
+
+    def to_polars(self) -> Any:
+        """The same as a DataFrame of polars; errors are those of :meth:`to_pandas`."""
+        return table_of(self.columns(), "polars", "Result.to_polars")
 
     def to_json(self) -> dict[str, Any]:
         """The result as JSON values at full precision: curves are given at 101 recalls; null is "not annotated".

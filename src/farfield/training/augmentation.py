@@ -17,8 +17,12 @@ from farfield.vocabulary.classes import CLUTTER, UNSURE
 Points = Float32[np.ndarray, "_ _"]
 Progress = Callable[[Iterable[int]], Iterable[int]]
 
-LAG = 3
-"""Index of the age of a point's sweep among its columns, after x, y and z."""
+SWEEP = 4
+"""Index of the number of a point's sweep, 0 for the present one, among its columns: after x, y, z and its age.
+
+The age does not tell it: sensors that fire at other times than the frame's, and points with times of their own, have
+ages in the present sweep too.
+"""
 
 SAMPLES_PER_FRAME = 16
 """Samples after which one of the frames whose objects can be pasted makes way for another."""
@@ -34,7 +38,7 @@ def cut_out(points: Points, boxes: Boxes, *, min_points: int) -> "list[tuple[Poi
     return [
         (points[rows].copy(), boxes[index])
         for index, rows in inside
-        if np.count_nonzero(points[rows, LAG] == 0) >= min_points
+        if np.count_nonzero(points[rows, SWEEP] == 0) >= min_points
     ]
 
 
@@ -212,7 +216,7 @@ def augment(
     """Apply all random changes to one frame.
 
     Args:
-        points: x, y, z (metres), lag (s) and further columns, shape (n, 4 + k).
+        points: x, y, z (metres), lag (s), the number of the sweep and further columns, shape (n, 5 + k).
         boxes: Annotated boxes; they carry no scores, ids or counts afterwards.
         config: How much of each change.
         rng: The only source of randomness.

@@ -28,7 +28,7 @@ from farfield.detectors.network import Assigner
 from farfield.errors import ConfigError, DatasetError
 from farfield.frame import Annotation, Key
 from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
-from farfield.training.augmentation import LAG, Points, Progress, RollingBank, augment, cut_out
+from farfield.training.augmentation import SWEEP, Points, Progress, RollingBank, augment, cut_out
 from farfield.training.config import UNCHANGED, AugmentationConfig
 from farfield.training.method import LABELLED, Batch, Stream
 from farfield.training.weather import WeatherOverlay, check_weather, draw_weather, read_with
@@ -36,9 +36,9 @@ from farfield.vocabulary.classes import CIRRUS_CLASSES, UNSURE, closest_class
 from farfield.vocabulary.counts import count_of
 
 _ORDER, _BANK, _CHANGES, _WEATHER = 1, 2, 3, 6  # keys of the generators; 4 and 5 are the loop's and the methods'
-_LOOKED_AT, _LEAST_BOXES = 10, 20  # frames in which no box has points, and their boxes, that stop a training
+_LOOKED_AT, _LEAST_BOXES = 10, 20  # frames, and their boxes, of which none has points: no more are looked at
 _LOOK_S = 0.5  # between a worker's looks whether its training still runs
-_FIRST = ("x_m", "y_m", "z_m", "lag_s")
+_FIRST = ("x_m", "y_m", "z_m", "lag_s", "sweep")
 
 Binding = Mapping[str, str]
 """Which of a frame's clouds each of the network's inputs reads."""
@@ -182,9 +182,9 @@ class TrainingSamples(TorchDataset[TrainingSample]):
     def load(self, number: int) -> tuple[Points, Boxes]:
         """The unchanged points and boxes of sample ``number`` of an epoch in order; of a paired stream, of a frame.
 
-        The points of all inputs, and of all samples of a pair, stand in one table: x, y, z, lag, the other columns that
-        the inputs read, zero where a point's input does not read them, and the number of the input, of the sample, that
-        a point belongs to.
+        The points of all inputs, and of all samples of a pair, stand in one table: x, y, z, lag, the number of the
+        sweep (0 for the present one), the other columns that the inputs read, zero where a point's input does not read
+        them, and the number of the input, of the sample, that a point belongs to.
         """
         count = len(self.bindings)
         index, bound = (number, self.bindings) if self._joint else (number // count, [self.bindings[number % count]])
@@ -259,7 +259,7 @@ class TrainingSamples(TorchDataset[TrainingSample]):
         """Refuse frames of which none has a box of a trained class: the loss of boxes would be 0 to the end.
 
         Raises:
-            DatasetError: If there is none, or none of the first ones holds a point.
+            DatasetError: If there is none, or none holds a point, of all or of the first twenty and more.
         """
         others: dict[str, int] = {}
         box_count = frame_count = filled_count = 0
@@ -274,11 +274,11 @@ class TrainingSamples(TorchDataset[TrainingSample]):
             filled_count += len(_sure(filled))
             box_count += len(boxes)
             frame_count += 1
-            if filled_count or frame_count >= _LOOKED_AT:
+            if filled_count or (frame_count >= _LOOKED_AT and box_count >= _LEAST_BOXES):
                 break
         if not box_count:
             raise no_boxes(self.data, self.name, self.classes, others)
-        if not filled_count and box_count >= _LEAST_BOXES:
+        if not filled_count:
             raise DatasetError(
                 f"{self.data.root}: expected boxes with at least {self.min_points} points, found none among "
                 f"{count_of(box_count, 'box', 'boxes')} of {count_of(frame_count, 'frame')}: "
@@ -391,7 +391,7 @@ def _sure(boxes: Boxes) -> Boxes:
 
 def _count(points: Points, boxes: Boxes) -> Int[np.ndarray, " n"]:
     """Points of the present sweep in each box, shape (n,)."""
-    return count_points_in_boxes(points[points[:, LAG] == 0, :3], boxes, margin_m=BOX_MARGIN_M)
+    return count_points_in_boxes(points[points[:, SWEEP] == 0, :3], boxes, margin_m=BOX_MARGIN_M)
 
 
 def _drawn(count: int, weight: Float[np.ndarray, " n"] | None, rng: np.random.Generator) -> Int[np.ndarray, " n"]:

@@ -115,6 +115,9 @@ CIRRUS_FROM_KRADAR = {long: ours for long, _, ours in _KRADAR}
 CIRRUS_FROM_ANY_KRADAR = {name: ours for long, short, ours in _KRADAR for name in (long, short)}
 """The same and the development kit's short names, each beside its long one."""
 
+KRADAR_SHORT = {long: short for long, short, _ in _KRADAR}
+"""The development kit's short name of each class of the label files."""
+
 KRADAR_FROM_CIRRUS = {  # K-Radar annotates neither animals nor what is unknown
     "vehicle": "Sedan",
     "large_vehicle": "Bus or Truck",

@@ -37,7 +37,7 @@ LABEL_FORMS: Mapping[str, FormFacts] = {
     ),
     "openlabel": FormFacts(
         title="OpenLABEL",
-        holds="boxes, classes, tracks, times; one file a sequence",
+        holds="boxes, classes, tracks, attributes, times; one file a sequence",
         real_files="no real file seen",
         source="https://www.asam.net/standards/detail/openlabel/",
     ),
@@ -49,9 +49,21 @@ LABEL_FORMS: Mapping[str, FormFacts] = {
     ),
     "cvat": FormFacts(
         title="CVAT (Datumaro)",
-        holds="boxes, classes, tracks; one file a sequence",
+        holds="boxes, classes, tracks, attributes; one file a sequence",
         real_files="no real file seen",
         source="https://docs.cvat.ai/docs/manual/advanced/formats/",
+    ),
+    "xtreme1": FormFacts(
+        title="Xtreme1",
+        holds="boxes, classes, tracks, attributes; one file a frame",
+        real_files="no real file seen",
+        source="https://docs.xtreme1.io/xtreme1-docs/export-data/data-annotation-result",
+    ),
+    "labelcloud": FormFacts(
+        title="labelCloud",
+        holds="boxes and classes; one file a frame, written as vertices",
+        real_files="no real file seen",
+        source="https://ch-sa.github.io/labelCloud",
     ),
 }
 """By the names of :mod:`farfield.datasets.labels.formats`."""
@@ -87,6 +99,24 @@ RESULT_FORMS: Mapping[str, FormFacts] = {
         holds="boxes in the vehicle's coordinates, types, scores, levels, points; protobuf",
         real_files="Waymo's own metric test: 1,010 annotated and 2,263 predicted boxes",
         source="https://github.com/waymo-research/waymo-open-dataset",
+    ),
+    "kradar": FormFacts(
+        title="folders of K-Radar's kit by condition",
+        holds="boxes, classes, scores, annotated boxes, time, road and weather; KITTI's columns with exchanged axes",
+        real_files="no real file seen",
+        source="https://github.com/kaist-avelab/K-Radar/blob/main/utils/util_pipeline.py",
+    ),
+    "openpcdet": FormFacts(
+        title="OpenPCDet's result texts",
+        holds="boxes in the camera's axes, classes, scores, 2D boxes; a file a frame",
+        real_files="no real file seen",
+        source="https://github.com/open-mmlab/OpenPCDet/blob/master/pcdet/datasets/kitti/kitti_dataset.py",
+    ),
+    "mmdetection3d": FormFacts(
+        title="mmdetection3d's inferencer JSON",
+        holds="boxes of the LiDAR or the camera, numbered classes, scores, velocities; a file a frame",
+        real_files="no real file seen",
+        source="https://github.com/open-mmlab/mmdetection3d/blob/main/mmdet3d/apis/inferencers/base_3d_inferencer.py",
     ),
 }
 """By the names of :mod:`farfield.metrics.box_files` and :mod:`farfield.datasets.result_files`."""

@@ -190,3 +190,7 @@ def parse_description(line: str) -> dict[str, str] | None:
         return None
     conditions = dict(zip(DESCRIPTION_ORDER, names, strict=True))
     return conditions if all(fits_kind(name, kind) for kind, name in conditions.items()) else None
+
+
+DESC_ORDER = ("time", "road", "weather")
+"""The words of a ``desc`` text of the kit's results, a line each."""

@@ -10,9 +10,11 @@ import pytest
 
 from farfield.datasets.labels import BoxLabel
 from farfield.datasets.labels.json_labels import DatumaroLabels, JsonLabels, OpenLabels, SustechLabels
+from farfield.datasets.labels.tool_labels import SuperviselyLabels
 from farfield.files.cuboids import Cuboid
 from farfield.files.datumaro import format_datumaro
 from farfield.files.openlabel import format_openlabel
+from farfield.files.supervisely import format_episode
 from farfield.files.sustechpoints import format_sustechpoints
 
 A, B = ("seq", "0001"), ("seq", "0002")
@@ -26,6 +28,10 @@ FORMATS: dict[str, tuple[JsonLabels, str]] = {
     "openlabel": (OpenLabels(FOLDER), format_openlabel([CAR, BUS, LATER], ["0001", "0002"])),
     "cvat": (DatumaroLabels(FOLDER), format_datumaro([CAR, BUS, LATER], ["0001", "0002"])),
     "sustechpoints": (SustechLabels(FOLDER), format_sustechpoints([CAR, BUS])),
+    "supervisely": (
+        SuperviselyLabels(dict.fromkeys((A, B), FOLDER), "supervisely", {A: "0", B: "1"}),
+        format_episode([replace(CAR, frame="0"), replace(BUS, frame="0"), replace(LATER, frame="1")], 2),
+    ),
 }
 
 

@@ -29,7 +29,8 @@ from farfield.vocabulary.counts import count_of
 CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"
 COMPRESSED, IMU = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu"
 _KINDS = (CLOUD, IMAGE, COMPRESSED)
-_LOOKED_AT = 5
+_LOOKED_AT, _BAGS_LOOKED_AT = 5, 8
+_ONE_CLOCK_S = 0.5  # a message is recorded that much sooner or later than others of its bag by one clock
 Columns = dict[str, Shaped[np.ndarray, " n"]]
 
 
@@ -151,6 +152,22 @@ class IndexedBag:
         return is_radar(columns)
 
 
+def _other_clocks(recorded: IndexedBag, reference: str) -> list[str]:
+    """A sentence on each topic whose stamps lie elsewhere, against the times of recording, than the reference's."""
+    late_s = {name: float(np.median(row.times_ns - row.log_ns)) * 1e-9 for name, row in recorded.topics.items()}
+    sentences = []
+    for name, late in late_s.items():
+        apart_s = late - late_s[reference]
+        if abs(apart_s) > _ONE_CLOCK_S:
+            sentences.append(
+                f"{recorded.bag.path}: the stamps of {recorded.topics[name].topic.name} are {abs(apart_s):.3g} s "
+                f"{'ahead of' if apart_s > 0 else 'behind'} those of {recorded.topics[reference].topic.name}, by the "
+                "times of recording: their clocks differ, and what belongs together is not paired. stamp=log pairs by "
+                "the times of recording"
+            )
+    return sentences
+
+
 def our_name(topic: str) -> str:
     """A topic's name without slashes: ``/os/points`` is ``os_points``."""
     return topic.strip("/").replace("/", "_")
@@ -261,6 +278,16 @@ class Bags(Dataset):
                 sentences[f"frames go by the cloud {topic.name}, not by {', '.join(others)}; cloud= says another"] = (
                     None
                 )
+        return tuple(sentences)
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """Transforms that are passed over, and topics of another clock than the reference's, of the first bags."""
+        sentences = []
+        for name in list(dict.fromkeys(self.sequences))[:_BAGS_LOOKED_AT]:
+            with suppress(FarfieldError):  # a damaged bag is reported when it is read
+                recorded, reference, _ = self._of(name)
+                sentences += [*recorded.transforms.notes, *_other_clocks(recorded, reference)]
         return tuple(sentences)
 
     def _of(self, sequence: str) -> tuple[IndexedBag, str, Messages]:

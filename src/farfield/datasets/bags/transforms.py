@@ -1,7 +1,7 @@
 """The tree of coordinates of a bag: fixed edges of ``/tf_static``, moving ones of ``/tf`` or of an odometry."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -59,19 +59,18 @@ def _between(first: Pose, second: Pose, share: float) -> Pose:
 class Transforms:
     """Transforms of a bag, read at the first use.
 
+    One that is no rigid motion is passed over, and only what needs the frame above which no other stands is refused.
+
     Args:
         bag: The bag.
     """
 
     bag: Bag
+    _faults: dict[str, FileFormatError] = field(default_factory=dict)
 
     @cached_property
     def edges(self) -> dict[str, Edge]:
-        """The edge above each frame.
-
-        Raises:
-            FileFormatError: If a transform is no rigid motion.
-        """
+        """The edge above each frame."""
         names = [topic.name for topic in self.bag.topics if topic.kind in KINDS]
         fixed: dict[str, tuple[str, Pose]] = {}
         moving: dict[str, dict[int, tuple[str, Pose]]] = {}
@@ -118,11 +117,26 @@ class Transforms:
 
     def _listed(self, message: Any) -> list[tuple[str, str, int, Pose]]:
         with guarded(self.bag.path, "transforms"):  # a damaged definition leaves fields out
-            return [self._read(transform) for transform in message.transforms]
+            parts = [(entry.header, entry.child_frame_id, entry.transform) for entry in message.transforms]
+            return [edge for part in parts if (edge := self._sound(*part)) is not None]
 
-    def _read(self, transform: Any) -> tuple[str, str, int, Pose]:
-        motion = transform.transform
-        return self._edge(transform.header, transform.child_frame_id, motion.translation, motion.rotation)
+    def _sound(self, header: Any, frame: Any, motion: Any) -> tuple[str, str, int, Pose] | None:
+        """One transform; None, and the fault is kept, where it is no rigid motion."""
+        try:
+            return self._edge(header, frame, motion.translation, motion.rotation)
+        except FileFormatError as error:
+            self._faults.setdefault(str(frame).strip("/"), error)
+            return None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence on each frame of which transforms were passed over."""
+        edges = self.edges
+        return tuple(
+            f"{error} It is passed over"
+            + ("" if child in edges else f": where {child} stands, and what hangs on it, is not known")
+            for child, error in self._faults.items()
+        )
 
     def _edge(self, header: Any, frame: Any, translation: Any, turn: Any) -> tuple[str, str, int, Pose]:
         """Child, parent, time and pose of the child in the parent."""
@@ -138,10 +152,17 @@ class Transforms:
         return child, parent, time_ns, pose(rotation_from_quaternion(quaternion), centre)
 
     def fixed(self, target: str, source: str) -> Pose | None:
-        """``target_T_source`` where both hang on one frame by fixed edges, else None."""
+        """``target_T_source`` where both hang on one frame by fixed edges, else None.
+
+        Raises:
+            FileFormatError: If one hangs on a frame whose only transforms are no rigid motions.
+        """
         of_target, of_source = dict(self._above(target)), dict(self._above(source))
         shared = next((name for name in of_source if name in of_target), None)
         if shared is None:
+            for name in (*of_source, *of_target):
+                if name in self._faults and name not in self.edges:
+                    raise self._faults[name]
             return None
         return np.asarray(np.linalg.inv(of_target[shared]) @ of_source[shared])
 

@@ -266,7 +266,7 @@ KITTI_HOLDS = Capacity(
     title="KITTI's folders",
     read_by="kitti",
     holds=frozenset({"scores", "empty frames"}),
-    pictures="first calibrated",
+    pictures="front",
     attributes=frozenset({"occlusion"}),
     spelled=spelled_in_kitti,
     aliases=CIRRUS_FROM_KITTI,
@@ -284,9 +284,10 @@ KITTI_HOLDS = Capacity(
 class KittiWriter:
     """Write ``training/{velodyne,label_2,calib,image_2}/NNNNNN.*``.
 
-    Boxes behind the camera or outside its image are written too, with the 2D box -1 -1 -1 -1. A frame without
-    calibration gets a virtual camera at the lidar's origin and no image. Lens distortion has no place in KITTI's
-    calibration: rectify the images beforehand, or leave 2D boxes unused.
+    The camera is the one that looks ahead, see :attr:`Frame.front_camera`. Boxes behind it or outside its image are
+    written too, with the 2D box -1 -1 -1 -1. A frame without calibration gets a virtual camera at the lidar's origin
+    and no image. Lens distortion has no place in KITTI's calibration: rectify the images beforehand, or leave 2D boxes
+    unused.
 
     Args:
         root: Folder in which ``training`` is made.
@@ -322,8 +323,8 @@ class KittiWriter:
         """
         if not 0 <= number <= 999_999:
             raise DatasetError(f"frame {frame.key}: expected a KITTI number from 0 to 999999, got {number}")
-        name = next((key for key in frame.cameras if key in frame.images), None)
-        camera = frame.cameras[name] if name is not None else next(iter(frame.cameras.values()), VIRTUAL_CAMERA)
+        name = frame.front_camera
+        camera = VIRTUAL_CAMERA if name is None else frame.cameras[name]
         boxes = frame.boxes if boxes is None else boxes
         points = frame.cloud(cloud)
         if points.intensity is None:
@@ -341,7 +342,7 @@ class KittiWriter:
             paths["label_2"].parent.mkdir(parents=True, exist_ok=True)
             objects = objects_from_boxes(boxes, camera, classes=self.classes)
             write_labels(paths["label_2"], objects if occlusion is None else replace(objects, occlusion=occlusion))
-        if name is not None:
+        if name is not None and name in frame.images:
             paths["image_2"] = self.path("image_2", number)
             paths["image_2"].parent.mkdir(parents=True, exist_ok=True)
             write_image(paths["image_2"], frame.images[name])

@@ -111,6 +111,10 @@ _OF_READER = {
     "kitti_raw": "farfield.datasets.kitti.raw:label_format",
     "sustechpoints": "farfield.datasets.sustechpoints:label_format",
     "cvat": "farfield.datasets.cvat:label_format",
+    "supervisely": "farfield.datasets.supervisely:label_format",
+    "xtreme1": "farfield.datasets.xtreme1:label_format",
+    "labelcloud": "farfield.datasets.labelcloud:label_format",
+    "openlabel": "farfield.datasets.openlabel:label_format",
 }
 """Imported when asked: readers know this room, and not the other way round."""
 _IN_A_FOLDER = {
@@ -118,6 +122,8 @@ _IN_A_FOLDER = {
     "openlabel": "farfield.datasets.labels.json_labels:OpenLabels",
     "sustechpoints": "farfield.datasets.labels.json_labels:SustechLabels",
     "cvat": "farfield.datasets.labels.json_labels:DatumaroLabels",
+    "xtreme1": "farfield.datasets.labels.tool_labels:Xtreme1Labels",
+    "labelcloud": "farfield.datasets.labels.tool_labels:LabelCloudLabels",
 }
 
 
@@ -147,7 +153,7 @@ def label_files_in(folder: Path, name: str, *, reference: str = "") -> LabelForm
 
     Args:
         folder: The folder; for ``boxes-csv`` the file.
-        name: ``boxes-csv``, ``openlabel``, ``sustechpoints`` or ``cvat``.
+        name: ``boxes-csv``, ``openlabel``, ``sustechpoints``, ``cvat``, ``xtreme1`` or ``labelcloud``.
         reference: Sensor in whose coordinates the boxes stand; ``boxes-csv`` names it.
 
     Raises:

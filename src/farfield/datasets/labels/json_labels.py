@@ -1,19 +1,19 @@
 """Label files in JSON, edited value by value: what did not change keeps its bytes, also within an object."""
 
 import hashlib
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from jaxtyping import Shaped
 
 from farfield.datasets.labels.formats import BoxLabel, Numbers, Value
 from farfield.datasets.labels.line_labels import kept_numbers
-from farfield.errors import ConfigError, DatasetError
-from farfield.files import datumaro, openlabel, supervisely, sustechpoints
+from farfield.errors import ConfigError
+from farfield.files import datumaro, openlabel, sustechpoints
 from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.json_text import plain_json, remove, set_value, span
 from farfield.frame import Annotation, Boxes, Key
@@ -58,6 +58,10 @@ class JsonLabels(ABC):
             return True
         return name.isdecimal() and key[1].isdecimal() and int(name) == int(key[1])
 
+    def in_file(self, key: Key) -> str:
+        """A frame's name in its file."""
+        return key[1]
+
     def prepared(self, text: str, existing: CuboidEntry | None, cuboid: Cuboid) -> str:
         """A file's text that can hold a cuboid; formats that list their classes add one here."""
         del existing, cuboid
@@ -89,7 +93,8 @@ class JsonLabels(ABC):
                     added.append(_cuboid(new, existing.cuboid))
                 elif new is not None:
                     text = self._changed(text, existing, new)
-            added += [_cuboid(label, Cuboid(frame=key[1], label="", box=label.box)) for label in left.values()]
+            frame = self.in_file(key)
+            added += [_cuboid(label, Cuboid(frame=frame, label="", box=label.box)) for label in left.values()]
         for steps in sorted(gone, reverse=True):
             text = remove(text, steps)
         for cuboid in added:
@@ -131,7 +136,7 @@ def _cuboid(label: BoxLabel, old: Cuboid) -> Cuboid:
     return replace(old, label=label.label, box=box, track=label.track, attributes=attributes)
 
 
-# The formats of annotation tools: OpenLABEL, SUSTechPOINTS, Datumaro (CVAT) and Supervisely.
+# The formats of annotation tools: OpenLABEL, SUSTechPOINTS and Datumaro (CVAT).
 
 
 def file_name(sequence: str) -> str:
@@ -186,14 +191,26 @@ class OpenLabels(JsonLabels):
 
     Args:
         folder: Where the files stand.
+        paths: The file of each frame, by sequence and frame; of others by the folder.
+        frames: Each frame's name in its file, where that is not its own.
     """
 
     name: ClassVar[str] = "openlabel"
     folder: Path
+    paths: Mapping[Key, Path] = field(default_factory=dict)
+    frames: Mapping[Key, str] = field(default_factory=dict)
 
     def path(self, key: Key) -> Path:
         """The file of a frame's sequence."""
-        return self.folder / f"{file_name(key[0])}.json"
+        return self.paths.get(key, self.folder / f"{file_name(key[0])}.json")
+
+    def in_file(self, key: Key) -> str:
+        """A frame's name in its file."""
+        return self.frames.get(key, key[1])
+
+    def of_frame(self, placed: CuboidEntry, key: Key) -> bool:
+        """Whether a cuboid is a frame's."""
+        return placed.cuboid.frame == self.frames[key] if key in self.frames else super().of_frame(placed, key)
 
     def placed(self, data: bytes, path: Path) -> Sequence[CuboidEntry]:
         """All cuboids of the sequence."""
@@ -263,63 +280,14 @@ class DatumaroLabels(JsonLabels):
         return datumaro.with_new(text, replace(cuboid, frame=file_name(cuboid.frame)))
 
 
-@dataclass(frozen=True)
-class SuperviselyLabels(JsonLabels):
-    """``ann/<cloud file>.json`` of Supervisely's point clouds, one file a cloud.
-
-    A figure belongs to an object, whose key is the track: changing the class of one changes that of all of its figures
-    in the file. Tags stay as they are.
-
-    Args:
-        paths: The file of each frame, by sequence and frame.
-    """
-
-    name: ClassVar[str] = "supervisely"
-    paths: Mapping[Key, Path]
-
-    def path(self, key: Key) -> Path:
-        """The file of a frame.
-
-        Raises:
-            DatasetError: If there is no such frame.
-        """
-        if key not in self.paths:
-            raise DatasetError(f"expected a frame of this data set, got {'/'.join(key)}")
-        return self.paths[key]
-
-    def placed(self, data: bytes, path: Path) -> Sequence[CuboidEntry]:
-        """All cuboids of the frame."""
-        return supervisely.placed_supervisely(data, path)
-
-    def empty(self) -> str:
-        """A file without objects."""
-        return json.dumps({"description": "", "tags": [], "objects": [], "figures": []}, indent=1) + "\n"
-
-    def values(self, cuboid: Cuboid, text: str, existing: CuboidEntry | None) -> Mapping[tuple[str | int, ...], Any]:
-        """Place, size and yaw."""
-        del text, existing
-        return supervisely.values(cuboid)
-
-    def prepared(self, text: str, existing: CuboidEntry | None, cuboid: Cuboid) -> str:
-        """The object's class."""
-        if existing is None or existing.cuboid.label == cuboid.label:
-            return text
-        return supervisely.with_class(text, existing.cuboid.track, cuboid.label)
-
-    def with_new(self, text: str, cuboid: Cuboid) -> str:
-        """A figure more."""
-        return supervisely.with_new(text, cuboid)
-
-    def moves(self, old: Cuboid, new: BoxLabel) -> bool:
-        """Another track is another object."""
-        return old.track != new.track
-
-
 # What annotation tools say of a frame, as an annotation.
 
 
 def annotation_of(cuboids: Sequence[Cuboid]) -> Annotation:
-    """Boxes with our class names and tracks as numbers: whole numbers as they are, other names as stable ones."""
+    """Boxes with our class names and tracks as numbers: whole numbers as they are, other names as stable ones.
+
+    Attributes are details, rows by their names, and so is :data:`TRACK_NAME` where some track is no number.
+    """
     rows = np.array([cuboid.box for cuboid in cuboids], dtype=np.float64).reshape(-1, 7)
     boxes = Boxes(
         centre_m=rows[:, :3],
@@ -328,12 +296,38 @@ def annotation_of(cuboids: Sequence[Cuboid]) -> Annotation:
         label=[normalised_class(cuboid.label, CIRRUS_FROM_TOOLS) for cuboid in cuboids],
         track_id=np.array([_track(cuboid.track) for cuboid in cuboids], dtype=np.int64),
     )
-    return Annotation(boxes=boxes, original_label=tuple(cuboid.label for cuboid in cuboids))
+    names = dict.fromkeys(name for cuboid in cuboids for name in cuboid.attributes)
+    details = {name: column_of([cuboid.attributes.get(name) for cuboid in cuboids]) for name in names}
+    if any(cuboid.track and not _is_number(cuboid.track) for cuboid in cuboids):
+        details |= {TRACK_NAME: np.array([cuboid.track for cuboid in cuboids])}
+    return Annotation(boxes=boxes, original_label=tuple(cuboid.label for cuboid in cuboids), details=details)
+
+
+TRACK_NAME = "track_name"
+"""The detail of an annotation that holds tracks' names as a tool writes them; ``track_id`` has numbers of them."""
+
+
+def column_of(values: Sequence[Value | None]) -> Shaped[np.ndarray, " n"]:
+    """An attribute's values as an array: flags where all are, numbers (NaN: none there), else texts (empty: none).
+
+    >>> column_of([1, None]).tolist(), column_of([True, False]).tolist(), column_of(["a", None, 2]).tolist()
+    ([1.0, nan], [True, False], ['a', '', '2'])
+    """
+    there = [value for value in values if value is not None]
+    if len(there) == len(values) and all(isinstance(value, bool) for value in there):
+        return np.array(values, dtype=bool)
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in there):
+        return np.array([np.nan if value is None else float(value) for value in values])
+    return np.array(["" if value is None else str(value) for value in values])
 
 
 def _track(track: str) -> int:
     if not track:
         return -1
-    if track.isascii() and track.isdigit() and len(track) < 18:
+    if _is_number(track):
         return int(track)
     return int.from_bytes(hashlib.sha256(track.encode()).digest()[:7], "big")
+
+
+def _is_number(track: str) -> bool:
+    return track.isascii() and track.isdigit() and len(track) < 18

@@ -17,7 +17,7 @@ from farfield.frame import Cloud, Frame, Lazy, Pose
 from farfield.frame.drive import Key
 from farfield.geometry.poses import invert
 
-LAG_COLUMN = "lag_s"
+LAG_COLUMN, SWEEP_COLUMN = "lag_s", "sweep"
 
 
 class SweepsSettings(BaseModel):
@@ -33,9 +33,9 @@ class Sweeps:
     """Each cloud followed by those of the ``count - 1`` frames before it in its drive.
 
     Earlier points are moved by the frames' poses, so that what stands still stays in place; what moves leaves a trail.
-    Each point tells its sweep's age in the column ``lag_s``, 0 for the present one. The first frames of a drive have
-    fewer sweeps. Boxes and images are those of the present frame. Of a selection of frames, the frames before are those
-    before in the whole data set.
+    Each point tells its sweep's age in the column ``lag_s`` and its number in ``sweep``, 0 for the present one. The
+    first frames of a drive have fewer sweeps. Boxes and images are those of the present frame. Of a selection of
+    frames, the frames before are those before in the whole data set.
 
     Args:
         count: Sweeps a frame; 1 changes nothing.
@@ -89,14 +89,14 @@ class StackedCloud:
         """The clouds, one after another."""
         present, name = self.present, self.cloud
         present_T_world = invert(_world_T_cloud(present, name))
-        parts = [_aged(present.clouds[name], 0.0)]
-        for frame in self.before:
+        parts = [_aged(present.clouds[name], 0.0, 0)]
+        for number, frame in enumerate(self.before, 1):
             if name in frame.clouds:
                 cloud = frame.clouds[name]
                 sensor = None if LAG_COLUMN in cloud.extra else name  # ages of points are since the frame's own time
                 lag_s = (_time_ns(present, sensor) - _time_ns(frame, sensor)) / 1e9
                 motion = present_T_world @ _world_T_cloud(frame, name)
-                parts.append(_aged(cloud.transform(motion), lag_s))
+                parts.append(_aged(cloud.transform(motion), lag_s, number))
         return Cloud.concatenate(parts)
 
 
@@ -124,11 +124,12 @@ def _checked(frame: Frame) -> Frame:
     return frame
 
 
-def _aged(cloud: Cloud, lag_s: float) -> Cloud:
+def _aged(cloud: Cloud, lag_s: float, number: int) -> Cloud:
+    sweep = number + cloud.column(SWEEP_COLUMN).astype(np.int16)
     column = np.full(len(cloud), lag_s, dtype=np.float32)
     if LAG_COLUMN in cloud.extra:  # of scans that the cloud holds already
         column += cloud.extra[LAG_COLUMN].astype(np.float32)
-    return Cloud(cloud.points_m, cloud.intensity, {**cloud.extra, LAG_COLUMN: column})
+    return Cloud(cloud.points_m, cloud.intensity, {**cloud.extra, LAG_COLUMN: column, SWEEP_COLUMN: sweep})
 
 
 def _time_ns(frame: Frame, name: str | None) -> int:

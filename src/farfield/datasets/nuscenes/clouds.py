@@ -47,7 +47,7 @@ class SweepFile:
 def load_cloud(
     files: Sequence[SweepFile], modality: str, dialect: Dialect, time_us: int, intensity_scale: float | None
 ) -> Cloud:
-    """The points of some files of one sensor, one after another, each moved by its own pose.
+    """The points of some files of one sensor, one after another, each moved by its own pose; ``sweep`` numbers them.
 
     Args:
         files: The key frame's first, then those before it.
@@ -65,7 +65,11 @@ def load_cloud(
             check_there(path, file.folder)
     read = _radar if modality == "radar" else _lidar
     parts = [read(file, dialect, time_us, intensity_scale) for file in files]
-    return parts[0] if len(parts) == 1 else Cloud.concatenate(parts)
+    if len(parts) == 1:
+        return parts[0]
+    number = np.repeat(np.arange(len(parts), dtype=np.int16), [len(part) for part in parts])
+    joined = Cloud.concatenate(parts)
+    return Cloud(joined.points_m, joined.intensity, {**joined.extra, "sweep": number}, joined.missing)
 
 
 def _lidar(file: SweepFile, dialect: Dialect, time_us: int, intensity_scale: float | None) -> Cloud:

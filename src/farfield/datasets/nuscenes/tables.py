@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int64, Shaped
 
 from farfield.datasets.nuscenes.dialects import Dialect, TableFolder
+from farfield.datasets.nuscenes.table_cache import cached_table
 from farfield.errors import DatasetError, FileFormatError
-from farfield.files.nuscenes_tables import TableColumns, TableField, TokenLists, read_table
+from farfield.files.nuscenes_tables import TableColumns, TableField, TokenLists
 
 _TOKEN, _LINK, _NAME, _WHOLE = TableField("token"), TableField("link"), TableField("name"), TableField("whole")
 _PLACE, _TURN = TableField("numbers", 3), TableField("numbers", 4)
@@ -139,7 +140,7 @@ class SchemaTables:
                 f"{self.folder.tables}: expected the tables of {self.dialect.title}, found no {missing[0]}.json. "
                 "Unpack the archive of its metadata whole."
             )
-        self.columns |= {name: read_table(self.path(name), fields) for name, fields in FIELDS.items()}
+        self.columns |= {name: cached_table(self.path(name), fields) for name, fields in FIELDS.items()}
         indices = {name: _TokenRows(columns["token"]) for name, columns in self.columns.items()}
         for name, index in indices.items():
             self._refuse(name, index.repeated, "a token of its own", "the token {} a second time")

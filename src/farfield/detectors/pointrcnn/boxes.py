@@ -117,7 +117,7 @@ class BinCoder:
     def decode(self, codes: Tensor, reference: Tensor) -> Tensor:
         """Boxes (k, 7) from a network's output (k, numbers); sizes are kept within 1/50 to 20 times the reference."""
         config, codes = self.config, codes.float()
-        parts, axes = self.split(codes), codes[:, : 4 * config.per_axis].reshape(len(codes), 2, 2, config.per_axis)
+        parts, axes = self.split(codes), codes[:, : 4 * config.per_axis].reshape(codes.shape[0], 2, 2, config.per_axis)
         best = axes[:, 0].argmax(2, keepdim=True)  # of x and of y: logits of both come first, then the residuals
         along, across = (
             ((best + 0.5 + axes[:, 1].gather(2, best) / 2) * config.bin_m - config.scope_m).squeeze(2).unbind(1)

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from farfield.detectors.devices import constant, kernels_for, sent
+from farfield.detectors.onnx.points import farthest_of_one
+from farfield.detectors.onnx.points import share_budget as share_budget
 
 _SIDE_BY_SIDE = 8  # a CPU samples this many frames faster one by one, more of them faster side by side
 
@@ -61,31 +62,6 @@ class WindowConfig(BaseModel):
         x, y, z = points[:, :3].unbind(1)
         inside = (x >= 0) & (x < self.range_m) & (y.abs() < self.half_width_m)
         return torch.nonzero(inside & (z >= self.z_min_m) & (z < self.z_max_m))[:, 0]
-
-
-def share_budget(available: Int[np.ndarray, " b"], shares: Sequence[float], budget: int) -> Int[np.ndarray, " b"]:
-    """Split a budget among bands by their shares; none gets more than it has, and the rest goes to the others.
-
-    Args:
-        available: Items in each band.
-        shares: Weight of each band, positive.
-        budget: Items to choose altogether.
-
-    Returns:
-        Items to take from each band; they sum to the budget or to all that is available.
-    """
-    granted = np.zeros(len(available), dtype=np.int64)
-    weight = np.asarray(shares, dtype=np.float64)
-    left = min(int(budget), int(available.sum()))
-    while left > 0:
-        open_bands = np.flatnonzero(granted < available)
-        part = np.floor(left * weight[open_bands] / weight[open_bands].sum()).astype(np.int64)
-        if not part.any():
-            part[np.argsort(-weight[open_bands], kind="stable")[:left]] = 1
-        part = np.minimum(part, (available - granted)[open_bands])
-        granted[open_bands] += part
-        left -= int(part.sum())
-    return granted
 
 
 def content_rank(points: Tensor) -> Tensor:
@@ -153,39 +129,9 @@ def farthest_points(points: Tensor, lengths: Sequence[int], count: int) -> tuple
         return kernels.farthest_points(points, lengths, count), counts
     if not points.is_cuda and sum(counts) <= _SIDE_BY_SIDE * max(counts):
         xyz = points.numpy()
-        parts = [_farthest_of_one(xyz[s : s + n], k) + s for s, n, k in zip(starts, lengths, counts, strict=True)]
+        parts = [farthest_of_one(xyz[s : s + n], k) + s for s, n, k in zip(starts, lengths, counts, strict=True)]
         return torch.from_numpy(np.concatenate(parts)), counts
     return _farthest_side_by_side(points, lengths, count), counts
-
-
-def _farthest_of_one(xyz: Float32[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, " k"]:
-    """One frame on the CPU. With the points sorted along an axis, a chosen point changes one stretch of them only.
-
-    No distance is above the radius of the last choice, so points farther along the axis keep theirs: exact.
-    """
-    if not count:
-        return np.zeros(0, dtype=np.int64)
-    axis = int(np.ptp(xyz, axis=0).argmax())
-    order = np.argsort(xyz[:, axis], kind="stable")
-    columns = np.ascontiguousarray(xyz[order].T)
-    along = columns[axis].astype(np.float64)
-    gap2 = np.full(len(xyz), np.inf, dtype=np.float32)
-    spare = np.empty((2, len(xyz)), dtype=np.float32)
-    chosen = np.empty(count, dtype=np.int64)
-    current, low, high = int(np.flatnonzero(order == 0)[0]), 0, len(xyz)
-    for step in range(count):
-        chosen[step] = current
-        total, term = spare[0, low:high], spare[1, low:high]
-        for column, out in zip(columns, (total, term, term), strict=True):
-            np.subtract(column[low:high], column[current], out=out)
-            np.multiply(out, out, out=out)
-            if out is term:
-                np.add(total, term, out=total)
-        np.minimum(gap2[low:high], total, out=gap2[low:high])
-        current = int(gap2.argmax())
-        reach = float(gap2[current]) ** 0.5 * 1.0001 + 1e-6
-        low, high = along.searchsorted((along[current] - reach, along[current] + reach))
-    return order[chosen]
 
 
 def _farthest_side_by_side(points: Tensor, lengths: Sequence[int], count: int) -> Tensor:

@@ -15,6 +15,7 @@ from farfield.inspection.doctor.content import (
     check_tracks,
 )
 from farfield.inspection.doctor.conventions import check_conventions, check_quaternion_order
+from farfield.inspection.doctor.image_marks import check_image_marks
 from farfield.inspection.doctor.inventory import check_inventory, check_stamps, check_timing
 from farfield.inspection.doctor.kradar import check_kradar
 from farfield.inspection.doctor.survey import DoctorReport, Finding, survey
@@ -31,6 +32,7 @@ _CHECKS = (
     check_clouds,
     check_clouds_upright,
     check_cameras_upright,
+    check_image_marks,
     check_quaternion_order,
     check_conventions,
     check_classes,

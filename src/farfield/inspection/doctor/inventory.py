@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from farfield.datasets.cirrus import Cirrus
+from farfield.datasets.downloads import archive_sentences
 from farfield.datasets.folder import Folder
 from farfield.datasets.unread import unread_files
 from farfield.files.boxes_csv import zeros_note
@@ -45,6 +46,8 @@ def check_inventory(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
     files = survey.dataset.files(0) if len(survey.dataset) else ()
     for what in unread_files(survey.dataset.root, files) if survey.dataset.root.is_dir() else ():
         yield Finding(severity="warn", topic="files", what=what, fix="Convert them, or move them elsewhere.")
+    for what in archive_sentences(survey.dataset.root, depth=0):
+        yield Finding(severity="warn", topic="archives", what=what, fix="Unpack it where the frames need it.")
     for error in survey.damaged[:5]:
         yield Finding(severity="fail", topic="damaged", what=error, fix="Fix or remove the file.")
     if len(survey.damaged) > 5:

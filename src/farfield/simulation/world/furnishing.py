@@ -13,7 +13,6 @@ from farfield.simulation.bodies import street as models
 from farfield.simulation.bodies.mesh import Mesh
 from farfield.simulation.world.land import Land
 from farfield.simulation.world.layout import Roadside
-from farfield.simulation.world.population import Obstacle, Population
 from farfield.simulation.world.taken_ground import low_bounds_m, rectangle_of
 
 _VARIANTS = 3  # of each kind in one world
@@ -73,7 +72,6 @@ class Furnishing:
 
     Args:
         side: The roadside, with what already stands there.
-        population: Whose road users keep clear.
         rng: Draws kinds and places.
         clear: Whether a station is further than so many metres from every side street.
     """
@@ -81,11 +79,10 @@ class Furnishing:
     def __init__(
         self,
         side: Roadside,
-        population: Population,
         rng: np.random.Generator,
         clear: Callable[[float, float], bool],
     ) -> None:
-        self.side, self.population, self.rng, self.clear = side, population, rng, clear
+        self.side, self.rng, self.clear = side, rng, clear
         self._models: dict[str, list[Mesh]] = {}
 
     def model(self, kind: str) -> Mesh:
@@ -123,19 +120,8 @@ class Furnishing:
             return False
         if not self.side.ground.free(first - spare_m, last + spare_m, right - spare_m, left + spare_m):
             return False
-        self.side.put(model, s_m, side * d_m, turn_rad=turn)
-        self._keep_clear(model, s_m, side * d_m, turn)
+        self.side.put(model, s_m, side * d_m, turn_rad=turn, only_free=False)
         return True
-
-    def _keep_clear(self, model: Mesh, s_m: float, d_m: float, turn_rad: float) -> None:
-        """Let road users keep clear of a model's own rectangle."""
-        low, high = low_bounds_m(model)
-        road, s = self.side.layout.land.road, np.array(s_m)
-        yaw = float(road.heading_rad(s)) + turn_rad
-        middle, cos, sin = (low + high) / 2, np.cos(yaw), np.sin(yaw)
-        aside = np.array([cos * middle[0] - sin * middle[1], sin * middle[0] + cos * middle[1], 0.0])
-        obstacle = Obstacle(road.point_m(s, d_m) + aside, yaw, np.append(high - low, 1.0))
-        self.population.obstacles.append(obstacle)
 
     def strip(
         self,
@@ -200,9 +186,14 @@ def _wires(land: Land, ends: tuple[float, float, float, float, float, float], sa
     top, eaves = np.array([0.0, 0.0, height - 0.5]), np.array([0.0, 0.0, 5.0])
     if np.isfinite(before):
         for shift in (-arm, 0.0, arm):
-            low, high = (land.road.point_m(np.array(s), d + shift) for s in (before, here))
+            low, high = (_on_ground_m(land, s, d + shift) for s in (before, here))
             pairs.append((low + top, high + top))
     if across:
-        low, high = land.road.point_m(np.array(here), d), land.road.point_m(np.array(here + 4.0), across)
+        low, high = _on_ground_m(land, here, d), _on_ground_m(land, here + 4.0, across)
         pairs.append((low + top, high + eaves))
     return models.wires(pairs, sag_m) if pairs else Mesh.merge([])
+
+
+def _on_ground_m(land: Land, s_m: float, d_m: float) -> Float[np.ndarray, " 3"]:
+    s, d = np.array([s_m]), np.array([d_m])
+    return np.asarray(land.road.point_m(s, d)[0] + np.array([0.0, 0.0, float(land.rise_m(s, d)[0])]))

@@ -132,7 +132,7 @@ class Land:
         s = np.arange(self.road.first_s_m, self.road.last_s_m, _SAMPLE_M)
         return s, cKDTree(self.road.point_m(s, 0.0)[:, :2])
 
-    def _locate(self, xy_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    def locate(self, xy_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """(s, d) of places in the world by the nearest point of the road."""
         stations, tree = self._samples
         s = stations[tree.query(xy_m)[1]]
@@ -149,11 +149,11 @@ class Land:
         node = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij"), -1)
         shape = node.shape[:2]
         xy = node.reshape(-1, 2) * _CELL_M
-        s, d = self._locate(xy)
+        s, d = self.locate(xy)
         under = (d > self.d_m[0] - 1.0) & (d < self.d_m[-1] + 1.0)
         z = self.road.point_m(s, d)[:, 2] + self.rise_m(s, d) - np.where(under, self._below_m, 0.0)
         points = np.concatenate([xy, z[:, None]], axis=1).reshape(*shape, 3)
-        own_s, own_d = self._locate((xy.reshape(*shape, 2)[:-1, :-1] + _CELL_M / 2).reshape(-1, 2))
+        own_s, own_d = self.locate((xy.reshape(*shape, 2)[:-1, :-1] + _CELL_M / 2).reshape(-1, 2))
         nearest = (own_s >= first_m) & (own_s < last_m) & (np.abs(own_d) < LAND_REACH_M)
         nearest &= (own_d < self.d_m[0] + 0.75 * _CELL_M) | (own_d > self.d_m[-1] - 0.75 * _CELL_M)
         corners = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], axis=2)

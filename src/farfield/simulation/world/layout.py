@@ -6,7 +6,7 @@ Builders use what all roads share: :class:`RoadBuild` for streams of randomness,
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -16,31 +16,45 @@ from farfield.simulation.bodies import facades, furniture, plants
 from farfield.simulation.bodies.materials import Material
 from farfield.simulation.bodies.mesh import Mesh, box
 from farfield.simulation.bodies.plants import Leaves, Plant
+from farfield.simulation.world.ground import CHUNK_M, GroundSurface, chunk_rows
 from farfield.simulation.world.land import HeightNoise, Land
 from farfield.simulation.world.motion import STEP_S
-from farfield.simulation.world.population import Lane, Population
+from farfield.simulation.world.population import Lane, Obstacle, Population
 from farfield.simulation.world.road import Bends, RoadLine, ribbon
-from farfield.simulation.world.taken_ground import TakenGround, rectangle_of
+from farfield.simulation.world.taken_ground import TakenGround, halves_across, low_bounds_m, rectangle_of
 
-CHUNK_M = 100.0
+_DEEPEST_M = 0.3  # on a slope a thing's foot sinks so far below the ground at its middle at most
+_LARGE_M = 4.0  # what is larger stands on the ground at its middle
+_WIDE_M = 20.0  # further from the line a place may lie nearer to another stretch of the road
+_PIECE_M = 5.0  # walls in bends are kept clear of in straight pieces of about this length
 
 
 @dataclass(frozen=True)
 class FixedObject:
-    """One fixed object: where along the road it belongs, and what builds it."""
+    """One fixed object.
+
+    Args:
+        s_m: Where along the road it belongs.
+        build: Builds it on the ground as it was drawn.
+        d_m: Its foot's offset to the left; None for what knows its own height.
+        reach_m: How far from the foot's middle the ground counts as well.
+    """
 
     s_m: float
     build: Callable[[], Mesh]
+    d_m: float | None = None
+    reach_m: float = 0.0
 
 
 @dataclass(frozen=True)
 class LeafyPlace:
-    """Leaves that rays enter: where along and beside the road they stand, and how they are turned."""
+    """Leaves that rays enter: where along and beside the road they stand, how they are turned, how wide they stand."""
 
     leaves: Leaves
     s_m: float
     d_m: float
     turn_rad: float = 0.0
+    reach_m: float = 0.0
 
 
 @dataclass(eq=False)
@@ -54,6 +68,8 @@ class RoadLayout:
         running: Build what runs along the road (markings, rails, walls) over given stations.
         placements: The fixed objects.
         plants: What rays enter; none in the world "v2".
+        ground: Where the ground's triangles lie, on which things stand; None in the world "v2", where they stand on the
+            ground as it was drawn.
         breaks_m: Stations at which the ground changes and needs a row of its own.
     """
 
@@ -63,27 +79,57 @@ class RoadLayout:
     running: list[Callable[[Float[np.ndarray, " k"]], Mesh]] = field(default_factory=list)
     placements: list[FixedObject] = field(default_factory=list)
     plants: list[LeafyPlace] = field(default_factory=list)
+    ground: GroundSurface | None = None
     breaks_m: tuple[float, ...] = ()
 
     def plants_between(self, first_m: float, last_m: float) -> list[int]:
         """Rows of the plants that belong to a stretch."""
         return [row for row, plant in enumerate(self.plants) if first_m <= plant.s_m < last_m]
 
-    def axes_m(self, row: int) -> Float[np.ndarray, "3 3"]:
-        """Where a plant stands in the world: its origin, and the ends of its x and y axes of 1 m."""
-        plant = self.plants[row]
+    def axes_m(self, rows: Sequence[int]) -> Float[np.ndarray, "n 3 3"]:
+        """Where some plants stand in the world: of each its origin, and the ends of its x and y axes of 1 m."""
         frame = Mesh.of(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), int(Material.FOLIAGE))
-        return self.land.stand(frame, plant.s_m, plant.d_m, turn_rad=plant.turn_rad).vertices_m
+        some = [self.plants[row] for row in rows]
+        axes = [self.land.stand(frame, plant.s_m, plant.d_m, turn_rad=plant.turn_rad).vertices_m for plant in some]
+        return np.stack(axes) + self.lifts_m(some)[:, None, None] * np.array([0.0, 0.0, 1.0])
+
+    def lifts_m(self, things: Sequence[FixedObject | LeafyPlace]) -> Float[np.ndarray, " n"]:
+        """How much higher the ground's triangles lie under things than the ground as it was drawn.
+
+        On a slope the lowest ground under a thing counts, so that it does not stick out on the lower side, but at most
+        ``_DEEPEST_M`` below the middle.
+        """
+        out = np.zeros(len(things))
+        rows = [row for row, thing in enumerate(things) if thing.d_m is not None]
+        if self.ground is None or not rows:
+            return out
+        s, d, reach = np.array([[things[row].s_m, things[row].d_m, things[row].reach_m] for row in rows]).T
+        around = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        at_s, at_d = (middle[:, None] + reach[:, None] * aside for middle, aside in zip((s, d), around.T, strict=True))
+        road = self.land.road
+        z = self.ground.height_m(road.point_m(at_s, at_d)[..., :2].reshape(-1, 2)).reshape(at_s.shape)
+        lowest = np.fmin.reduce(z, axis=1)
+        foot_m = np.maximum(lowest, z[:, 0] - _DEEPEST_M)
+        drawn_m = road.point_m(s, d)[:, 2] + self.land.rise_m(s, d)
+        out[rows] = np.where(np.isfinite(foot_m), foot_m - drawn_m, 0.0)
+        return out
 
     def chunk(self, index: int) -> Mesh:
         """The fixed surroundings between ``index`` and ``index + 1`` times ``CHUNK_M``; always the same ones."""
         key = index if index >= 0 else 100_000 - index
         rng = np.random.default_rng(np.random.SeedSequence(self.seed.entropy, spawn_key=(*self.seed.spawn_key, key)))
         first, last = index * CHUNK_M, (index + 1) * CHUNK_M
-        inner = [s for s in self.breaks_m if first < s < last]
-        rows = np.unique(np.concatenate([np.linspace(first, last, 26), inner]))
-        parts = [self.land.strips(rows), self.land.beyond(first, last), *(build(rows) for build in self.running)]
-        parts += [fixed.build() for fixed in self.placements if first <= fixed.s_m < last]
+        rows = chunk_rows(index, self.breaks_m)
+        ground = (
+            [self.land.strips(rows), self.land.beyond(first, last)]
+            if self.ground is None
+            else self.ground.pieces(index)
+        )
+        parts = [*ground, *(build(rows) for build in self.running)]
+        objects = [fixed for fixed in self.placements if first <= fixed.s_m < last]
+        for fixed, lift_m in zip(objects, self.lifts_m(objects), strict=True):
+            mesh = fixed.build()
+            parts.append(replace(mesh, vertices_m=mesh.vertices_m + np.array([0.0, 0.0, lift_m])) if lift_m else mesh)
         return Mesh.merge([part.painted(rng) for part in parts if len(part.faces)])
 
 
@@ -169,9 +215,12 @@ class Roadside:
         *,
         turn_rad: float = 0.0,
         raise_m: float = 0.0,
-        only_free: bool = False,
+        only_free: bool = True,
+        over_road: bool = False,
     ) -> None:
         """Stand one object on the ground; of a plant its wood, with its leaves around.
+
+        With relief it takes the ground under it, and road users keep clear of it.
 
         Args:
             model: The object.
@@ -179,19 +228,54 @@ class Roadside:
             d_m: Its offset to the left.
             turn_rad: How far it is turned against the road.
             raise_m: Height of its foot above the ground.
-            only_free: Leave it out where something stands already.
+            only_free: With relief, leave it out where something stands already.
+            over_road: Whether it stands with its ends on both sides of the road.
         """
+        reach_m = 0.0
         if self.relief is not None:
-            rectangle = rectangle_of(_foot(model), s_m, d_m, turn_rad)
-            if only_free and not self.ground.free(*rectangle):
+            feet = halves_across(_foot(model)) if over_road else [_foot(model)]
+            rectangles = [rectangle_of(foot, s_m, d_m, turn_rad) for foot in feet]
+            if only_free and not all(self.ground.free(*rectangle) for rectangle in rectangles):
                 return
-            self.ground.take(*rectangle)
+            if abs(d_m) > _WIDE_M and self._is_astray(s_m, d_m):
+                return
+            for foot, rectangle in zip(feet, rectangles, strict=True):
+                self.ground.take(*rectangle)
+                self._keep_clear(foot, s_m, d_m, turn_rad)
+            wide_m = float(np.ptp(low_bounds_m(feet[0]), axis=0).max())
+            reach_m = 0.0 if over_road or wide_m > _LARGE_M else wide_m / 4
         if isinstance(model, Plant):
-            self.layout.plants.append(LeafyPlace(model.leaves, s_m, d_m, turn_rad))
+            self.layout.plants.append(LeafyPlace(model.leaves, s_m, d_m, turn_rad, reach_m))
             if not len(model.wood.faces):
                 return
             model = model.wood
-        self.add(partial(self.layout.land.stand, model, s_m, d_m, turn_rad=turn_rad, raise_m=raise_m), s_m)
+        build = partial(self.layout.land.stand, model, s_m, d_m, turn_rad=turn_rad, raise_m=raise_m)
+        self.layout.placements.append(FixedObject(s_m, build, d_m, reach_m))
+
+    def _is_astray(self, s_m: float, d_m: float) -> bool:
+        """Whether a place lies nearer to another stretch of the road than to its own, as within a bend."""
+        land = self.layout.land
+        _, nearest_m = land.locate(land.road.point_m(np.array([s_m]), d_m)[:, :2])
+        return bool(abs(nearest_m[0]) < abs(d_m) - 2.0)
+
+    def _keep_clear(self, model: Mesh, s_m: float, d_m: float, turn_rad: float) -> None:
+        """Let road users keep clear of a model's own rectangle."""
+        low, high = low_bounds_m(model)
+        road, s = self.layout.land.road, np.array(s_m)
+        yaw = float(road.heading_rad(s)) + turn_rad
+        middle, cos, sin = (low + high) / 2, np.cos(yaw), np.sin(yaw)
+        aside = np.array([cos * middle[0] - sin * middle[1], sin * middle[0] + cos * middle[1], 0.0])
+        obstacle = Obstacle(road.point_m(s, d_m) + aside, yaw, np.append(high - low, 1.0))
+        self.layout.population.obstacles.append(obstacle)
+
+    def _take_along(self, first_m: float, last_m: float, d_m: float, thick_m: float) -> None:
+        """Take the ground under something long beside the road, of which road users keep clear."""
+        self.ground.take(first_m, last_m, d_m - thick_m / 2, d_m + thick_m / 2)
+        ends, road = np.linspace(first_m, last_m, int((last_m - first_m) / _PIECE_M) + 2), self.layout.land.road
+        for s, length_m in zip((ends[1:] + ends[:-1]) / 2, np.diff(ends), strict=True):
+            size_m = np.array([length_m, thick_m, 1.0])
+            obstacle = Obstacle(road.point_m(s, d_m), float(road.heading_rad(s)), size_m)
+            self.layout.population.obstacles.append(obstacle)
 
     def add(self, build: "partial[Mesh]", s_m: float) -> None:
         """Add an object that knows its place in the world."""
@@ -239,8 +323,7 @@ class Roadside:
             self.hedge(rows, d_m, height_m, thick_m)
             return
         if self.relief is not None:
-            half = thick_m / 2 + 0.15  # its piers
-            self.ground.take(s_m, s_m + length_m, d_m - half, d_m + half)
+            self._take_along(s_m, s_m + length_m, d_m, thick_m + 0.3)  # with its piers
             seed = int(self.relief.integers(2**32))
             self.add(partial(_rough_wall, self.layout.land, rows, d_m, thick_m, height_m, material, seed), s_m)
             return
@@ -256,7 +339,7 @@ class Roadside:
             piece = (float(s), float(s) + step_m, d_m - thick_m / 2, d_m + thick_m / 2)
             if self.ground.free(*piece):
                 self.layout.plants.append(LeafyPlace(leaves, float(s) + step_m / 2, d_m, np.pi * (index % 2)))
-            self.ground.take(*piece)
+                self._take_along(float(s), float(s) + step_m, d_m, thick_m)
 
     def block(
         self,
@@ -274,13 +357,16 @@ class Roadside:
             model = furniture.building(length_m, depth_m, height_m, self.rng)
         else:
             model = facades.relief_building(length_m, depth_m, height_m, self.relief, overhang_m=overhang_m)
-        self.put(model, s_m, side * d_m, turn_rad=0.0 if side > 0 else np.pi)
+        self.put(model, s_m, side * d_m, turn_rad=0.0 if side > 0 else np.pi, only_free=False)
 
     def verge(self, side: int, near_m: float, far_m: float, rough_m: float) -> None:
         """Uneven ground between two distances from the reference line: grass over ruts and molehills."""
         if self.relief is not None:
             noise = HeightNoise(self.relief, shortest_m=1.2, longest_m=6.0)
-            self.run(partial(_verge, self.layout.land, noise, side, near_m, far_m, rough_m))
+            piece = partial(_verge, self.layout.land, noise, side, near_m, far_m, rough_m)
+            self.run(piece)
+            if self.layout.ground is not None:
+                self.layout.ground.verges.append(piece)
 
 
 def _foot(model: Mesh | Plant) -> Mesh:
@@ -404,6 +490,7 @@ class RoadBuild:
         layout = RoadLayout(land, population, self._paint_seed, breaks_m=breaks_m)
         relief = self.stream("relief") if self.world == "v3" else None
         leaf_rng = self.stream("plants") if self.world == "v3" else None
+        layout.ground = GroundSurface(land, breaks_m) if self.world == "v3" else None
         return layout, Roadside(layout, self.around, FIRST_M, self.travel_m(ego_m_s) + 420.0, relief, leaf_rng)
 
     def stream(self, name: str) -> np.random.Generator:

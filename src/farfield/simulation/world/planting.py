@@ -37,7 +37,7 @@ def plant_fronts(side: Roadside, sign: int, front_m: float, clear: Callable[[flo
         elif clear(s_m + length_m / 2, length_m / 2 + 1.0) and draw < _HEDGED + _GRASSY:
             for s in np.arange(s_m + 1.5, s_m + length_m, 2.9):
                 grass, turn = grasses[int(rng.integers(3))], np.pi * int(rng.integers(2))
-                side.put(grass, float(s), d_m, turn_rad=turn, only_free=True)
+                side.put(grass, float(s), d_m, turn_rad=turn)
         s_m += length_m + float(rng.uniform(0, 6))
     # scattered behind them: shrubs and trees
     for models, per_m, deep_m in ((shrubs, _SHRUBS_PER_M, _SHRUBS_TO_M), (side.trees, _TREES_PER_M, _TREES_TO_M)):
@@ -45,4 +45,4 @@ def plant_fronts(side: Roadside, sign: int, front_m: float, clear: Callable[[flo
             s, d = float(rng.uniform(side.first_m, side.last_m)), front_m + 0.6 + deep_m * float(rng.random()) ** 1.5
             if clear(s, 2.0):
                 model, turn = models[int(rng.integers(len(models)))], float(rng.uniform(0, 6.28))
-                side.put(model, s, sign * d, turn_rad=turn, only_free=True)
+                side.put(model, s, sign * d, turn_rad=turn)

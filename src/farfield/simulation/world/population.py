@@ -353,13 +353,28 @@ class Population:
     ) -> Bool[np.ndarray, " n"]:
         """Loose road users that would touch another that stays, or an obstacle."""
         loose, count = np.array(self._loose), len(size_m)
-        if self.obstacles:
-            fixed = np.stack([obstacle.position_m for obstacle in self.obstacles])[:, None].repeat(self.steps, axis=1)
-            turned = np.array([[obstacle.yaw_rad] for obstacle in self.obstacles]).repeat(self.steps, axis=1)
+        obstacles = self._obstacles_near(position_m[loose], size_m[loose])
+        if obstacles:
+            fixed = np.stack([obstacle.position_m for obstacle in obstacles])[:, None].repeat(self.steps, axis=1)
+            turned = np.array([[obstacle.yaw_rad] for obstacle in obstacles]).repeat(self.steps, axis=1)
             position_m, yaw_rad = np.concatenate([position_m, fixed]), np.concatenate([yaw_rad, turned])
-            size_m = np.concatenate([size_m, [obstacle.size_m for obstacle in self.obstacles]])
+            size_m = np.concatenate([size_m, [obstacle.size_m for obstacle in obstacles]])
             loose = np.append(loose, np.zeros(len(fixed), dtype=bool))
         return in_conflict(position_m, yaw_rad, size_m, loose, margin_m=_MARGIN_M)[:count]
+
+    def _obstacles_near(
+        self, position_m: Float[np.ndarray, "n steps 3"], size_m: Float[np.ndarray, "n 3"]
+    ) -> list[Obstacle]:
+        """Those obstacles whose circles meet the circle about a road user and its whole way."""
+        if not self.obstacles or not len(size_m):
+            return []
+        low, high = position_m[..., :2].min(axis=1), position_m[..., :2].max(axis=1)
+        middle, reach = (low + high) / 2, np.hypot(*(high - low).T) / 2 + np.hypot(*size_m[:, :2].T) / 2 + 2 * _MARGIN_M
+        fixed = np.stack([obstacle.position_m[:2] for obstacle in self.obstacles])
+        radius = np.array([np.hypot(*obstacle.size_m[:2]) / 2 for obstacle in self.obstacles])
+        apart = np.hypot(*(fixed[:, None] - middle).transpose(2, 0, 1))
+        near = (apart < radius[:, None] + reach).any(axis=1)
+        return [obstacle for obstacle, is_near in zip(self.obstacles, near, strict=True) if is_near]
 
 
 def _beside(lanes: Sequence[Lane]) -> Int[np.ndarray, "2 lanes"]:

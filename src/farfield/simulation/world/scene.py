@@ -11,7 +11,8 @@ from farfield.simulation.bodies.actors import Actor, find_prior
 from farfield.simulation.bodies.mesh import Mesh
 from farfield.simulation.bodies.people import PHASES
 from farfield.simulation.trace import Body, Caster, Tracer
-from farfield.simulation.world.layout import CHUNK_M, RoadLayout
+from farfield.simulation.world.ground import CHUNK_M
+from farfield.simulation.world.layout import RoadLayout
 from farfield.simulation.world.motion import STEP_S
 from farfield.simulation.world.roads import BUILDERS, RoadBuild
 from farfield.vocabulary.conditions import SIDES, WORLDS
@@ -110,6 +111,7 @@ class WorldScene:
         self._sway = np.random.default_rng(pose_seed).uniform(0, 2 * np.pi, 2)
         self._rows = {actor.track_id: row for row, actor in enumerate(self.actors)}
         self._tracers: dict[tuple[int, int], Tracer] = {}
+        self._chunks: dict[int, Mesh] = {}
         self._stage: tuple[tuple[int, float], list[Caster]] | None = None
 
     def ego_pose(self, time_s: float) -> Float[np.ndarray, "4 4"]:
@@ -131,7 +133,9 @@ class WorldScene:
         if self._stage is None or self._stage[0] != (stage, behind_m):
             first = int(np.floor((stage * _STAGE_M - behind_m) / CHUNK_M))
             last = int(np.ceil(((stage + 1) * _STAGE_M + reach_m) / CHUNK_M))
-            mesh = Mesh.merge([self.layout.chunk(index) for index in range(first, last)])
+            built = self._chunks  # those of the stage before; what recurs is not built again
+            self._chunks = {i: built[i] if i in built else self.layout.chunk(i) for i in range(first, last)}
+            mesh = Mesh.merge(list(self._chunks.values()))
             anchor = self.layout.land.road.point_m(np.array((stage + 0.5) * _STAGE_M), 0.0)
             if self.traffic == "left":
                 mesh, anchor = mesh.mirrored(), anchor * [1.0, -1.0, 1.0]
@@ -150,8 +154,8 @@ class WorldScene:
         rng = np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, _LEAF_PAINT)))
         reflectance, tint = leaf_reflectances(len(plants), rng), rng.random(len(plants))
         placed = [
-            PlacedLeaves(plants[row].leaves, row, self.layout.axes_m(row) * flip, reflectance[row], tint[row])
-            for row in rows
+            PlacedLeaves(plants[row].leaves, row, axes_m * flip, reflectance[row], tint[row])
+            for row, axes_m in zip(rows, self.layout.axes_m(rows), strict=True)
         ]
         return [Foliage(placed, seed=int(seed.generate_state(1, np.uint64)[0]), anchor_m=anchor_m)]
 

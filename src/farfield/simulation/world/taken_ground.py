@@ -27,6 +27,12 @@ def rectangle_of(model: Mesh, s_m: float, d_m: float, turn_rad: float) -> Rectan
     return first, last, right, left
 
 
+def halves_across(model: Mesh) -> list[Mesh]:
+    """The vertices of a model to the left of its x axis and to the right of it, such as the posts of a gantry."""
+    y = model.vertices_m[:, 1]
+    return [Mesh.of(model.vertices_m[part], np.zeros((0, 3), dtype=np.int64), 0) for part in (y > 0, y < 0)]
+
+
 class TakenGround:
     """Rectangles along a road, looked up by their stations."""
 

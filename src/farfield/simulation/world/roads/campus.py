@@ -97,7 +97,7 @@ def build_university(plot: RoadBuild) -> RoadLayout:
     if plot.world == "v3":
         parking = Parking(population, land, plot.stream("parking"), street.clear)
         park_kerbside(parking, street, last, (0.6, 0.97))
-        furnishing = Furnishing(side, population, plot.stream("furniture"), street.clear)
+        furnishing = Furnishing(side, plot.stream("furniture"), street.clear)
         furnish_street(furnishing, street, float(furnishing.rng.uniform(8.0, 16.0)))
         for sign, index in ((-1, 0), (1, 1)):
             front = float(street.front_m[index])
@@ -198,7 +198,7 @@ def build_parking_lot(plot: RoadBuild) -> RoadLayout:
     side.run(partial(_marks, road, rows, float(pitch)))
     _furnish(side, edge, float(pitch), modules)
     if plot.world == "v3":
-        furnishing = Furnishing(side, population, plot.stream("furniture"), always_clear)
+        furnishing = Furnishing(side, plot.stream("furniture"), always_clear)
         _carts(furnishing, rows, float(pitch))
         for sign in (-1, 1):
             furnishing.strip(sign, edge + 0.8, edge + 2.5, float(furnishing.rng.uniform(6.0, 12.0)), CAR_PARK)
@@ -243,7 +243,7 @@ def _furnish(side: Roadside, edge_m: float, pitch_m: float, modules: int) -> Non
             model = lamp if rng.random() < 0.5 else side.trees[int(rng.integers(6))]
             side.put(model, float(s) + 1.0, d)
             if side.relief is not None:
-                side.put(kerbed, float(s) + 1.0, d)
+                side.put(kerbed, float(s) + 1.0, d, only_free=False)
             side.put(lamp, float(s) + STALL_M * round(pitch_m / 2 / STALL_M), d)
     for sign in (-1, 1):
         side.plants(sign, edge_m + 3.5, edge_m + 12.0, 0.08)

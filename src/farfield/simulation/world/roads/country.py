@@ -109,9 +109,9 @@ class Highway:
             side.plants(sign, out + 9.0, out + 50.0, float(rng.choice([0.0, 0.03, 0.08, 0.16])))
         panels = [(-(self.inner_m + (lane + 0.5) * self.lane_m), 3.0) for lane in range(self.lanes)]
         for s in side.stations(float(rng.uniform(500, 1000))):
-            side.put(furniture.gantry(out + 1.0, panels), float(s), 0.0)
+            side.put(furniture.gantry(out + 1.0, panels), float(s), 0.0, over_road=True)
         for s in side.stations(float(rng.uniform(900, 2000))):
-            side.put(furniture.bridge(out + 1.0, float(rng.uniform(7, 14))), float(s), 0.0)
+            side.put(furniture.bridge(out + 1.0, float(rng.uniform(7, 14))), float(s), 0.0, over_road=True)
 
 
 def build_highway(plot: RoadBuild, *, on_shoulder: bool = False) -> RoadLayout:
@@ -134,7 +134,7 @@ def build_highway(plot: RoadBuild, *, on_shoulder: bool = False) -> RoadLayout:
     highway.run(side, road)
     highway.furnish(side, around)
     if plot.world == "v3":
-        furnishing, out = Furnishing(side, population, plot.stream("furniture"), always_clear), highway.shoulder_m
+        furnishing, out = Furnishing(side, plot.stream("furniture"), always_clear), highway.shoulder_m
         for sign in (-1, 1):
             side.verge(sign, out + 0.1, out + 4.5, 0.05)
             furnishing.strip(sign, out + 0.8, out + 5.5, float(furnishing.rng.uniform(20.0, 60.0)), ROADSIDE)
@@ -256,7 +256,7 @@ def build_mountain(plot: RoadBuild) -> RoadLayout:
     for s in side.stations(12.0):
         side.put(post, float(s), cut_side * (edge + 0.15))
     if plot.world == "v3":
-        furnishing = Furnishing(side, population, plot.stream("furniture"), always_clear)
+        furnishing = Furnishing(side, plot.stream("furniture"), always_clear)
         for sign in (-1, 1):
             near = edge + (1.4 if sign == cut_side else 0.9)
             side.verge(sign, near, near + 4.0, 0.06)

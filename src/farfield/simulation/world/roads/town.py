@@ -127,7 +127,7 @@ def build_urban(plot: RoadBuild) -> RoadLayout:
     if plot.world == "v3":
         parking = Parking(population, land, plot.stream("parking"), street.clear)
         park_kerbside(parking, street, last, (0.55, 0.97))
-        _clutter(Furnishing(side, population, plot.stream("furniture"), street.clear), parking, street)
+        _clutter(Furnishing(side, plot.stream("furniture"), street.clear), parking, street)
     for sign, front in ((-1, 0), (1, 1)):
         plant_fronts(side, sign, float(street.front_m[front]), street.clear)
     return layout
@@ -185,6 +185,7 @@ def _garden(side: Roadside, population: Population, street: Street, sign: int, f
         first_m + 4.0 + wide / 2,
         sign * set_back,
         turn_rad=0.0 if sign > 0 else np.pi,
+        only_free=False,
     )
     drive = first_m + 1.8
     rows, d = drive + np.array([-_DRIVE_M / 2, _DRIVE_M / 2]), sign * np.array([front, set_back + 3.0])
@@ -271,7 +272,7 @@ def build_suburban(plot: RoadBuild) -> RoadLayout:
     else:
         parking = Parking(population, land, plot.stream("parking"), street.clear)
         park_kerbside(parking, street, last, (0.4, 0.85))
-        _gardens(Furnishing(side, population, plot.stream("furniture"), street.clear), parking, street)
+        _gardens(Furnishing(side, plot.stream("furniture"), street.clear), parking, street)
     add_walkers(plot, population, street, last, float(rng.uniform(1, 7)), cyclists=2.0)
     return layout
 
@@ -279,6 +280,76 @@ def build_suburban(plot: RoadBuild) -> RoadLayout:
 # Alleyways: five to six metres between walls and fronts, one way, people and parked vehicles close by
 
 ALLEY_BENDS = Bends(1 / 90, (60.0, 160.0), (0.05, 0.4), grade=0.03)
+
+
+def _gapped_alley_fronts(side: Roadside, street: Street, half_m: float, sign: int) -> None:
+    """World v2's: straight houses in bends too, and nothing where a side street is near."""
+    rng = side.rng
+    s = FIRST_M
+    while s < side.last_m:
+        length, draw = float(rng.uniform(6, 18)), rng.random()
+        if street.clear(s + length / 2, length / 2 + 0.3):
+            if draw < 0.65:
+                side.block(
+                    s + length / 2,
+                    sign,
+                    half_m + 0.12,
+                    length,
+                    float(rng.uniform(7, 13)),
+                    float(rng.uniform(3.5, 13)),
+                    overhang_m=0.0,
+                )
+            elif draw < 0.93:
+                material = BRICK if rng.random() < 0.5 else CONCRETE
+                side.wall(s, length, sign * (half_m + 0.25), float(rng.uniform(1.6, 2.8)), material)
+                side.block(
+                    s + length / 2,
+                    sign,
+                    half_m + float(rng.uniform(4, 7)),
+                    length - 2,
+                    9.0,
+                    float(rng.uniform(4, 10)),
+                )
+        s += length
+
+
+_PIECE_M, _ALLEY_SPARE_M = 10.0, 0.12
+
+
+def _alley_fronts(side: Roadside, street: Street, half_m: float, sign: int) -> None:
+    """Houses and walls side by side from one side street to the next, no part of them within the alley."""
+    rng, first = side.rng, side.first_m
+    for junction in (*street.junctions_m, np.inf):
+        last = min(float(junction) - street.side_half_m - 0.3, side.last_m)
+        if last - first > 1.0:
+            count = max(1, round((last - first) / _PIECE_M))
+            ends = np.linspace(first, last, count + 1)
+            ends[1:-1] += rng.uniform(-0.3, 0.3, count - 1) * (last - first) / count
+            for index in range(count):
+                at_corner = index in (0, count - 1)  # a house: its flank stands along the side street
+                draw = 0.0 if at_corner and ends[index + 1] - ends[index] > 3.0 else float(rng.random())
+                _alley_front(side, half_m, sign, float(ends[index]), float(ends[index + 1]), draw)
+        first = float(junction) + street.side_half_m + 0.3
+
+
+def _alley_front(side: Roadside, half_m: float, sign: int, first_m: float, last_m: float, draw: float) -> None:
+    """One house at the edge of an alley, or a wall with a house behind it."""
+    rng, middle, road = side.rng, (first_m + last_m) / 2, side.layout.land.road
+    if draw < 0.65 and last_m - first_m > 3.0:
+        at = road.point_m(np.linspace(first_m, last_m, 9), sign * (half_m + _ALLEY_SPARE_M))[:, :2]
+        heading = float(road.heading_rad(np.array(middle)))
+        outward = sign * (at - at[4]) @ np.array([-np.sin(heading), np.cos(heading)])
+        set_back = half_m + _ALLEY_SPARE_M + max(float(outward.max()), 0.0)  # a straight front cuts a bend short
+        length = float(np.linalg.norm(at[-1] - at[0]))
+        height = float(rng.uniform(3.5, 13))
+        side.block(middle, sign, set_back, length, float(rng.uniform(7, 13)), height, overhang_m=0.0)
+        return
+    material = BRICK if rng.random() < 0.5 else CONCRETE
+    height = float(rng.uniform(1.6, 2.8))
+    side.wall(first_m, last_m - first_m, sign * (half_m + 0.3), height, material)
+    if last_m - first_m > 5.0:
+        behind = half_m + float(rng.uniform(4, 7))
+        side.block(middle, sign, behind, last_m - first_m - 2.0, 9.0, float(rng.uniform(4, 10)))
 
 
 def build_alleyway(plot: RoadBuild) -> RoadLayout:
@@ -323,39 +394,17 @@ def build_alleyway(plot: RoadBuild) -> RoadLayout:
     layout, side = plot.layout(land, population, speed, breaks_m=street.breaks())
     around = plot.around
     for sign in (-1, 1):
-        s = FIRST_M
-        while s < side.last_m:
-            length, draw = float(around.uniform(6, 18)), around.random()
-            if street.clear(s + length / 2, length / 2 + 0.3):
-                if draw < 0.65:
-                    side.block(
-                        s + length / 2,
-                        sign,
-                        half + 0.12,
-                        length,
-                        float(around.uniform(7, 13)),
-                        float(around.uniform(3.5, 13)),
-                        overhang_m=0.0,
-                    )
-                elif draw < 0.93:
-                    material = BRICK if around.random() < 0.5 else CONCRETE
-                    side.wall(s, length, sign * (half + 0.25), float(around.uniform(1.6, 2.8)), material)
-                    side.block(
-                        s + length / 2,
-                        sign,
-                        half + float(around.uniform(4, 7)),
-                        length - 2,
-                        9.0,
-                        float(around.uniform(4, 10)),
-                    )
-            s += length
+        if plot.world == "v2":
+            _gapped_alley_fronts(side, street, half, sign)
+        else:
+            _alley_fronts(side, street, half, sign)
         pole = furniture.pole(float(around.uniform(6, 8)), 0.9)
         for post in side.stations(float(around.uniform(25, 40))):
             if sign > 0 and street.clear(float(post), 0.5):
-                side.put(pole, float(post), half - 0.1, turn_rad=np.pi)
+                side.put(pole, float(post), half - 0.1, turn_rad=np.pi, only_free=False)
     if plot.world == "v3":
         parking = Parking(population, land, plot.stream("parking"), street.clear)
-        furnishing = Furnishing(side, population, plot.stream("furniture"), street.clear)
+        furnishing = Furnishing(side, plot.stream("furniture"), street.clear)
         furnishing.strip(1, half - 0.85, half, float(furnishing.rng.uniform(6.0, 12.0)), ALLEY, spare_m=0.03)
         furnishing.strip(-1, half - 0.5, half, float(furnishing.rng.uniform(15.0, 30.0)), ALLEY, spare_m=0.03)
         parking.along(1, half - 0.1, -250.0, last, float(parking.rng.uniform(0.3, 0.8)))
