@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from farfield.detectors.network import Network
     from farfield.detectors.onnx.detector import OnnxDetector
     from farfield.detectors.runtime import Detector
-    from farfield.evaluation.streaming import DropRule, SweepStream
+    from farfield.evaluation.streaming import SweepStream
     from farfield.experiments.adapting import AdaptationResult
     from farfield.frame import Cloud, Frame
     from farfield.geometry.boxes import Boxes
@@ -171,7 +171,7 @@ def stream(
     source: "Dataset | Path | str | Iterable[Frame | Cloud]",
     *,
     rate_hz: float | None = None,
-    drop: "DropRule | None" = None,
+    drop: str | None = None,
     waiting: int = 1,
     cloud: str | None = None,
     idle_s: float | None = None,

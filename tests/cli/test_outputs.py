@@ -39,6 +39,8 @@ FILES = {
     "odometry": "odometry DATA --out OUT --picture FILE.png",
     "depth": "depth DATA --out OUT --picture FILE.png",
     "score": "score PREDICTIONS DATA/labels.csv --json FILE",
+    "worst": "worst EVALUATION --out FILE",
+    "worst, its rows": "worst EVALUATION --json FILE",
     "report": "report SCORES --out FILE",
     "report, a film": "report DATA --film FILE.gif",
 }
@@ -80,6 +82,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     detections(tmp_path / "predictions.csv")
     (tmp_path / "weights.safetensors").write_bytes(b"weights")
     (tmp_path / "scores.json").write_text("{}")
+    (tmp_path / "evaluation").mkdir()
+    (tmp_path / "evaluation" / "lost.json").write_text("{}")
     return tmp_path
 
 
@@ -88,6 +92,7 @@ def words(command: str, folder: Path, target: Path) -> list[str]:
         "PREDICTIONS": folder / "predictions.csv",
         "WEIGHTS": folder / "weights.safetensors",
         "SCORES": folder / "scores.json",
+        "EVALUATION": folder / "evaluation",
         "DATA": folder / "data",
         "COPY": folder / "copy",
     }
@@ -125,6 +130,7 @@ def test_a_file_that_is_read_is_no_output(
             ("DATA", folder / "data" / "0000.npy"),
             ("WEIGHTS", folder / "weights.safetensors"),
             ("SCORES", folder / "scores.json"),
+            ("EVALUATION", folder / "evaluation" / "lost.json"),
         )
         if word in command
     )

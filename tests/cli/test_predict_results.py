@@ -70,7 +70,7 @@ def test_kitti_results_are_a_folder_that_score_reads(own, tmp_path):
     out = tmp_path / "kitti"
     assert predict(own, "--out", tmp_path / "boxes.csv") == 0
     assert predict(own, "--out", out, "--format", "kitti") == 0
-    assert sorted(path.name for path in out.iterdir()) == ["000000.txt", "000001.txt", "COORDINATES"]
+    assert sorted(path.name for path in out.iterdir()) == ["000000.txt", "000001.txt", "CARD.md", "COORDINATES"]
     rows, first = read_boxes_csv(tmp_path / "boxes.csv"), read_labels(out / "000000.txt")
     assert set(first.type) <= {"Car", "Truck", "Pedestrian", "Cyclist"}
     read = read_predictions(out, format="kitti").boxes["", "000000"]

@@ -20,8 +20,8 @@ def test_what_cannot_be_is_refused_before_anything_is_done(
     assert "--minutes: expected more than 0" in capsys.readouterr().err
     assert main(["reproduce", "kradar", "--data", "nothing"]) == 1
     assert "--data: expected a folder" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main(["reproduce", "velodyne"])
+    assert main(["reproduce", "velodyne"]) == 2
+    assert "expected one of cirrus, kradar, got 'velodyne'" in capsys.readouterr().err
     assert not [*tmp_path.rglob("*.json")]
 
 

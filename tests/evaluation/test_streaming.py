@@ -103,10 +103,10 @@ def test_a_folder_is_read_as_it_fills_and_ends_when_idle(tmp_path: Path) -> None
 
 def test_wrong_choices_are_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="rate_hz"):
-        ff.stream(counting, [], rate_hz=0)
+        ff.stream(counting, [], rate_hz=0.0)
     with pytest.raises(ConfigError, match="drop"):
-        ff.stream(counting, [], drop="some")  # type: ignore[arg-type]
+        ff.stream(counting, [], drop="some")
     with pytest.raises(DatasetError, match="nothing"):
         ff.stream(counting, tmp_path / "none")
     with pytest.raises(ConfigError, match="int"):
-        ff.stream(counting, 3)  # type: ignore[arg-type]
+        ff.stream(counting, 3)

@@ -138,8 +138,7 @@ def test_a_broken_package_is_named_and_hurts_no_other(
     for words in (["--help"], ["experiments"]):
         assert main(words) == 0
     for verb in ("score", "train", "evaluate", "detectors"):
-        with pytest.raises(SystemExit, match="0"):
-            main([verb, "--help"])
+        assert main([verb, "--help"]) == 0
     for registry in (DETECTORS, DATASETS, PROTOCOLS):
         assert reason in registry.broken("torn")
         with pytest.raises(PluginError, match="no_such_package"):

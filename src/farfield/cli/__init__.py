@@ -255,5 +255,5 @@ def _refusal(verb: str, printed: str) -> str:
     from farfield.cli._completion import arguments_of, flags_of
     from farfield.cli._words import refused_words
 
-    required = [argument for argument in arguments_of(verb) if not argument.option_strings and argument.nargs is None]
+    required = [argument for argument in arguments_of(verb) if argument.required and not argument.option_strings]
     return refused_words(verb, printed, flags_of(verb), required)

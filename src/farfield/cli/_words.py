@@ -31,12 +31,12 @@ def meant_verbs(words: Sequence[str], verbs: Mapping[str, str]) -> list[str]:
     ['evaluate']
     """
     first = words[0].lower().replace("_", "-")
-    close = [*([_OTHER_WORDS[first]] if first in _OTHER_WORDS else []), *get_close_matches(first, verbs, n=2)]
-    if close:
-        return [verb for verb in dict.fromkeys(close) if verb in verbs]
     looked_for = {word for text in words for word in re.findall(r"[a-z0-9]{4,}", text.lower())}
-    named = [verb for verb in verbs if verb in looked_for]
     hits = {verb: len(looked_for & set(re.findall(r"[a-z0-9]+", what.lower()))) for verb, what in verbs.items()}
+    close = [*([_OTHER_WORDS[first]] if first in _OTHER_WORDS else []), *get_close_matches(first, verbs, n=2)]
+    if close and (first in _OTHER_WORDS or max(hits.values()) < 2):  # not a sentence, such as "how to count frames"
+        return [verb for verb in dict.fromkeys(close) if verb in verbs]
+    named = [verb for verb in verbs if verb in looked_for]
     best = sorted((verb for verb, count in hits.items() if count), key=lambda verb: -hits[verb])
     return list(dict.fromkeys([*named, *best]))[:3]
 
@@ -50,10 +50,8 @@ def no_verb(words: Sequence[str], verbs: Mapping[str, str]) -> str:
 
 def no_flag(verb: str, word: str, flags: Iterable[str]) -> str:
     """The sentence on a flag that a verb does not have."""
-    close = get_close_matches(word.partition("=")[0].replace("_", "-"), list(flags), n=2)
-    return (
-        f"no flag {word}" + (f"; did you mean {' or '.join(close)}?" if close else ".") + f" farfield {verb} --help-all"
-    )
+    close = get_close_matches(word.partition("=")[0].replace("_", "-"), list(flags), n=1)
+    return f"no flag {word}" + (f"; did you mean {close[0]}?" if close else ".") + f" farfield {verb} --help-all"
 
 
 def refused_words(verb: str, printed: str, flags: Mapping[str, Sequence[str]], required: Sequence[object]) -> str:
@@ -65,8 +63,10 @@ def refused_words(verb: str, printed: str, flags: Mapping[str, Sequence[str]], r
         flags: The verb's flags, with the words that each takes.
         required: The arguments without a flag that must stand there, in their order.
     """
-    lines = [line.strip("│|╭╮╰╯+ \t") for line in printed.splitlines()]
-    lines = [line for line in lines if line and not re.fullmatch(r"[-─]+( .* [-─]+)?", line)]  # borders and title
+    lines = [line for line in (line.strip("│|╭╮╰╯+ \t") for line in printed.splitlines()) if line]
+    if len(lines) > 1 and re.fullmatch(r"[-─]+", lines[1]):
+        lines = lines[1:]  # the title, where the terminal has no borders
+    lines = [line for line in lines if not re.fullmatch(r"[-─]+( .* [-─]+)?", line)]  # borders, and the title in one
     text = " ".join(lines).replace("{None}|", "").replace("{None,", "{")
     text = re.split(r"For full helptext|Argument helptext|Perhaps you meant|Similar arguments", text)[0].strip()
     for pattern, expected in _NUMBERS:

@@ -55,7 +55,7 @@ def run(
 
     from farfield.cli._output import would_write
     from farfield.errors import ConfigError
-    from farfield.evaluation.lost import KINDS, read_lost
+    from farfield.evaluation.lost import KINDS, LOST, read_lost
     from farfield.frame.where import Where
     from farfield.pages.worst_page import frame_table, headline, object_table, sum_table, write_worst
 
@@ -64,7 +64,9 @@ def run(
     condition = Where(where) if where else None
     folder = evaluation if evaluation.is_dir() else evaluation.parent
     page = out or (folder / "worst.html" if data is not None else None)
-    check_outputs((data, folder / "evaluation.json", *reading.paths), files={"--out": page, "--json": json})
+    check_outputs(
+        (data, folder / LOST, folder / "evaluation.json", *reading.paths), files={"--out": page, "--json": json}
+    )
     parts = [lost.where(condition, KINDS if kind == "all" else (kind,)) for lost in read_lost(evaluation)]
     if not any(lost.objects for lost in parts) and (where or kind != "all"):
         raise ConfigError(

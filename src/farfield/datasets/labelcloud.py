@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from farfield.datasets.labelled_clouds import LabelledCloud, LabelledClouds, clouds_in, folders_with, names_of_folders
 from farfield.datasets.labels.tool_labels import LabelCloudLabels
@@ -75,7 +75,7 @@ class LabelCloud(LabelledClouds):
         self,
         root: Path | str,
         *,
-        label_angles: Literal["radians", "degrees"] | None = None,
+        label_angles: str | None = None,
         bin_columns: int | None = None,
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",

@@ -12,7 +12,7 @@ length along y and along x: the boxes' longer sides decide, or ``label_axes``.
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from farfield.datasets.labelled_clouds import (
     LabelledCloud,
@@ -89,7 +89,7 @@ class Supervisely(LabelledClouds):
         self,
         root: Path | str,
         *,
-        label_axes: Literal["supervisely", "cvat"] | None = None,
+        label_axes: str | None = None,
         bin_columns: int | None = None,
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",

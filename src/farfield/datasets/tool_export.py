@@ -158,7 +158,7 @@ def cuboids_of(boxes: Boxes | None, frame: str, annotation: Annotation | None = 
     ]
 
 
-def _is_there(value: str | float | bool) -> bool:
+def _is_there(value: str | int | float | bool) -> bool:
     return value != "" and value == value  # NaN differs from itself
 
 

@@ -194,7 +194,7 @@ def read_lost(folder: Path) -> list[Lost]:
         FileFormatError: If it is damaged.
     """
     path = folder / LOST if folder.is_dir() else folder.parent / LOST
-    if not path.is_file():
+    if not folder.exists() or not path.is_file():
         raise ConfigError(f"{folder}: expected {LOST}, as farfield evaluate writes it; found none. Run it again")
     tree = read_json(path, max_bytes=_MOST_BYTES)
     try:

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
 from farfield.geometry.boxes import Boxes
 from farfield.vocabulary.counts import count_of
 
-DropRule = Literal["oldest", "newest", "none"]
+DROP_RULES = ("oldest", "newest", "none")
 """Which sweep is dropped where too many wait: the one that waits longest, the one that comes, or none: then its source
 waits."""
 _MOST_LATENCIES = 10_000  # that count for the quantiles: memory stays as it is however long a stream runs
@@ -99,7 +99,7 @@ class SweepStream:
         sweeps: Iterable[tuple[str, Frame | Cloud]],
         *,
         rate_hz: float | None,
-        drop: DropRule,
+        drop: str,
         waiting: int,
         cloud: str | None,
     ) -> None:
@@ -222,10 +222,10 @@ def _detected(detector: DescribedDetector, content: Any) -> Boxes:
 
 def stream(
     detector: DescribedDetector | DetectorFunction,
-    source: "Dataset | Path | str | Iterable[Frame | Cloud]",
+    source: Any,
     *,
     rate_hz: float | None = None,
-    drop: DropRule | None = None,
+    drop: str | None = None,
     waiting: int = 1,
     cloud: str | None = None,
     idle_s: float | None = None,
@@ -253,8 +253,8 @@ def stream(
     """
     if rate_hz is not None and not 0 < rate_hz <= 10_000:
         raise ConfigError(f"rate_hz: expected more than 0 and up to 10,000, got {rate_hz}.")
-    rule: DropRule = drop or ("none" if rate_hz is None else "oldest")
-    if rule not in ("oldest", "newest", "none") or waiting < 1:
+    rule = drop or ("none" if rate_hz is None else "oldest")
+    if rule not in DROP_RULES or waiting < 1:
         raise ConfigError(f"expected drop oldest, newest or none and waiting 1 or more; got {drop!r} and {waiting}.")
     described = as_detector(detector)
     sweeps = _sweeps_of(described, source, idle_s)

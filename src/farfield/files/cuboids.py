@@ -13,7 +13,7 @@ from farfield.errors import FileFormatError
 from farfield.files.json_text import finite
 from farfield.files.limits import MAX_NAME
 
-Value = str | float | bool
+Value = str | int | float | bool
 _FARTHEST_M, _LEAST_M, _LARGEST_M = 1e5, 1e-4, 1e3
 _MOST_YAW, _MOST_TILT = 4 * math.pi, 0.5  # radians
 _MOST_NORM_ERROR = 0.1

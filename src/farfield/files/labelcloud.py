@@ -24,7 +24,7 @@ import numpy as np
 
 from farfield.errors import FileFormatError
 from farfield.files.cuboids import Cuboid, CuboidEntry, attributes_of, checked, numbers, word, xyz
-from farfield.files.json_text import append, finite, parse_json, plain_json
+from farfield.files.json_text import append, finite, parse_json, plain_json, set_value
 
 MAX_BYTES = 16 << 20
 ANGLES = ("radians", "degrees")
@@ -120,6 +120,8 @@ def _cuboid(entry: Mapping[str, Any], unit: Angles, path: Path | str, where: str
         size = numbers(values, 3, path, where, "dimensions with length, width, height")
         if unit == "degrees":
             turn = _of_degrees(turn, path, where)
+        elif abs(turn[2]) > math.pi:
+            turn = [*turn[:2], math.remainder(turn[2], _FULL_TURN)]
     return Cuboid(
         label=_class(entry.get("name"), path, where),
         box=checked(centre, size, turn[2], path, where, tilt_rad=turn[:2]),
@@ -184,10 +186,29 @@ def form_of(entry: Mapping[str, Any], unit: Angles | None) -> Form:
 
 
 def forms_in(text: str, angles: Angles | None) -> list[Form]:
-    """The form of each object of a file."""
+    """The form of each object of a file, whose rotations count ``angles`` unless that is None."""
     objects = plain_json(text)["objects"]
-    unit = angles_shown(objects, "") or angles
+    unit = angles or angles_shown(objects, "")
     return [form_of(entry, unit) for entry in objects]
+
+
+def with_unit_shown(text: str, angles: Angles | None) -> str:
+    """The text, where its rotations may be of either unit with one of them turned by a full turn, which shows it.
+
+    Args:
+        text: A whole file.
+        angles: What its rotations count; None leaves it as it is.
+    """
+    objects = plain_json(text)["objects"]
+    turned = [row for row, entry in enumerate(objects) if "vertices" not in entry and any(_turns(entry))]
+    if angles is None or not turned or angles_shown(objects, "") == angles:
+        return text
+    row, rotations = turned[-1], objects[turned[-1]]["rotations"]
+    if angles == "degrees":  # about z a turn more would lie beyond 360 degrees; about x 360 is none
+        axis = next((axis for axis in "xy" if not rotations.get(axis)), None)
+        return text if axis is None else set_value(text, ("objects", row, "rotations", axis), 360.0)
+    axis = next(axis for axis in "zyx" if rotations.get(axis))
+    return set_value(text, ("objects", row, "rotations", axis), float(rotations[axis]) - _FULL_TURN)
 
 
 def values(cuboid: Cuboid, form: Form) -> Mapping[tuple[str | int, ...], Any]:

@@ -104,7 +104,7 @@ def _angles(quaternion: Sequence[float], path: Path | str, where: str) -> tuple[
     return roll, pitch, math.atan2(2 * (x * y + z * w), norm - 2 * (y * y + z * z))
 
 
-def _attributes(entry: Mapping[str, Any]) -> dict[str, str | float | bool]:
+def _attributes(entry: Mapping[str, Any]) -> dict[str, str | int | float | bool]:
     """Texts, numbers and flags of ``attributes``, whose lists hold ``{"name", "val"}``."""
     groups = entry.get("attributes")
     lists = groups.values() if isinstance(groups, dict) else []

@@ -75,9 +75,14 @@ def parse_segments(data: bytes, path: Path | str, *, label_set: str = "") -> tup
     if not isinstance(samples, list):
         raise FileFormatError(path, where="dataset", expected="a list samples", got=repr(samples)[:80])
     frames: list[SegmentsFrame] = []
+    names: set[str] = set()
     for number, sample in enumerate(samples):
         where = f"sample {number}"
-        frames += _frames(_mapping(sample, path, where), classes, label_set, path, where)
+        name = _name(_mapping(sample, path, where).get("name"), path, where)
+        if name in names:
+            raise FileFormatError(path, where=where, expected="samples of different names", got=f"{name!r} again")
+        names.add(name)
+        frames += _frames(sample, name, classes, label_set, path, where)
     return tuple(frames)
 
 
@@ -92,9 +97,8 @@ def _classes(value: Any, path: Path | str) -> dict[int, str]:
 
 
 def _frames(
-    sample: Mapping[str, Any], classes: Mapping[int, str], label_set: str, path: Path | str, where: str
+    sample: Mapping[str, Any], name: str, classes: Mapping[int, str], label_set: str, path: Path | str, where: str
 ) -> list[SegmentsFrame]:
-    name = _name(sample.get("name"), path, where)
     attributes = _mapping(sample.get("attributes"), path, f"{where}, attributes")
     rows = attributes.get("frames") if "frames" in attributes else [attributes]
     if not isinstance(rows, list):

@@ -111,7 +111,7 @@ def _entries(content: Any, name: str, path: Path | str, where: str) -> list[dict
 
 
 def _whole(value: Any, path: Path | str, where: str, name: str) -> int:
-    number = finite(value, limit=_TOP)
+    number = finite(value, limit=float(_TOP))
     if number is None or number < 0 or number != int(number) or isinstance(value, float):
         raise FileFormatError(path, where=where, expected=f"a whole number as {name}", got=repr(value)[:80])
     return int(number)

@@ -99,7 +99,7 @@ def decide_axes(parts: Sequence[KittiObjects]) -> tuple[str, str]:
             )
         if flat == [2]:
             return "lidar", f"x y z as ahead, left, up: z alone is upright (spread {shown})"
-        middle_m = float(np.median(place[:, 1]))
+        middle_m = float(np.median(bottom_m[:, 1]))
         if middle_m > 0.9:
             return "camera", f"KITTI's own axes: y is upright and points down (median {middle_m:.1f} m below)"
         if middle_m > 0.6:

@@ -69,7 +69,7 @@ def test_what_lies_in_the_archives_is_named(tmp_path: Path, capsys: pytest.Captu
         assert words in str(caught.value)
     assert main(["doctor", str(downloads)]) == 1
     shown = " ".join(capsys.readouterr().out.split())
-    assert "2 archives cannot be used" in shown
+    assert "3 archives cannot be used" in shown  # the cut, the empty one, the one without any file
     assert not [path for path in downloads.iterdir() if path.suffix != ".zip"]
     read = find_downloads([downloads])
     assert [(radar.sequence, radar.index, radar.source) for radar in read.radar] == [

@@ -218,8 +218,8 @@ class DownloadPlan:
     all_frames: int
     packed_bytes: int
     unpacked_bytes: int
-    store_bytes: float
-    peak_bytes: float
+    store_bytes: int | float
+    peak_bytes: int | float
     seconds: float | None = None
 
     def __str__(self) -> str:

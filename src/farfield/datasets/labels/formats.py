@@ -13,7 +13,7 @@ from farfield.frame import Key
 Numbers = tuple[float, float, float, float, float, float, float]
 """x, y, z of the centre, length, width, height (full sizes, metres), yaw (radians): in the frame's coordinates."""
 
-Value = str | float | bool
+Value = str | int | float | bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

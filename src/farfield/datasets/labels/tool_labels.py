@@ -1,7 +1,7 @@
 """Label files of Supervisely, labelCloud and Xtreme1, edited value by value."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -111,10 +111,13 @@ class LabelCloudLabels(JsonLabels):
         return labelcloud.parse_labelcloud(data, path, angles=self.angles)
 
     def render(self, data: bytes | None, path: Path, labels: Mapping[Key, Sequence[BoxLabel]]) -> bytes:
-        """The file with other labels; a new one names its cloud."""
+        """The file with other labels, which still shows what its rotations count; a new one names its cloud."""
         if data is None:
             data = labelcloud.format_labelcloud([], self.clouds.get(path, "")).encode()
-        return super().render(data, path, labels)
+        shown = labelcloud.angles_in(data, path)
+        unit = self.angles if shown is None or shown == "either" else shown
+        text = super(LabelCloudLabels, replace(self, angles=unit)).render(data, path, labels).decode()
+        return labelcloud.with_unit_shown(text, unit).encode()
 
     def empty(self) -> str:
         """A file without objects."""

@@ -4,12 +4,15 @@ import re
 import shutil
 from pathlib import Path
 
+from farfield.datasets.cards import CARD_NAME
 from farfield.errors import ConfigError
 from farfield.experiments.adapting.options import THRESHOLDS
 from farfield.experiments.adapting.source import FOLDER
 
 WEIGHTS, PAGE, SCORES = "weights.safetensors", "report.html", "scores.json"
-_OURS = re.compile(rf"{THRESHOLDS}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part")
+_OURS = re.compile(
+    rf"{THRESHOLDS}|{CARD_NAME}|{WEIGHTS}|{PAGE}|{SCORES}|{FOLDER}|round-\d+|\.(found|measured)-.*|\..*\.part"
+)
 
 
 def clear(folder: Path) -> None:

@@ -104,8 +104,10 @@ def _forms(looked: Mapping[Path, FileFacts]) -> Iterator[FileForm]:
         yield FileForm(form=form[:3000], files=len(files), examples=tuple(files[:_EXAMPLES]))
 
 
-def _merged(parts: Iterable[Mapping[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
-    merged: dict[str, tuple[float, float]] = {}
+def _merged(
+    parts: Iterable[Mapping[str, tuple[int | float, int | float]]],
+) -> dict[str, tuple[int | float, int | float]]:
+    merged: dict[str, tuple[int | float, int | float]] = {}
     for part in parts:
         for name, (low, high) in part.items():
             least, most = merged.get(name, (low, high))

@@ -61,7 +61,7 @@ class FileGroup(_Part):
     last: str = ""
     looked_at: int = 0
     forms: tuple[FileForm, ...] = ()
-    figures: dict[str, tuple[float, float]] = {}
+    figures: dict[str, tuple[int | float, int | float]] = {}
     ranges: dict[str, tuple[float, float]] = {}
     faults: tuple[FileFault, ...] = ()
     odd_sizes: tuple[str, ...] = ()

@@ -273,8 +273,8 @@ class Roadside:
         self.ground.take(first_m, last_m, d_m - thick_m / 2, d_m + thick_m / 2)
         ends, road = np.linspace(first_m, last_m, int((last_m - first_m) / _PIECE_M) + 2), self.layout.land.road
         for s, length_m in zip((ends[1:] + ends[:-1]) / 2, np.diff(ends), strict=True):
-            size_m = np.array([length_m, thick_m, 1.0])
-            obstacle = Obstacle(road.point_m(s, d_m), float(road.heading_rad(s)), size_m)
+            size_m, middle = np.array([length_m, thick_m, 1.0]), np.asarray(s)
+            obstacle = Obstacle(road.point_m(middle, d_m), float(road.heading_rad(middle)), size_m)
             self.layout.population.obstacles.append(obstacle)
 
     def add(self, build: "partial[Mesh]", s_m: float) -> None:
@@ -307,8 +307,10 @@ class Roadside:
     def signs(self, side: int, d_m: float, pitch_m: float) -> None:
         """Signs of many sizes that face the traffic of their side."""
         for s in self.stations(pitch_m, jitter_m=0.6 * pitch_m):
-            model = furniture.sign(self.rng.uniform(1.8, 3.0), self.rng.uniform(0.5, 1.6), self.rng.uniform(0.5, 1.2))
-            self.put(model, float(s), side * (d_m + self.rng.uniform(0.0, 1.0)), turn_rad=0.0 if side < 0 else np.pi)
+            height_m, width_m = self.rng.uniform(1.8, 3.0), self.rng.uniform(0.5, 1.6)
+            model = furniture.sign(height_m, width_m, self.rng.uniform(0.5, 1.2))
+            near_m = d_m if self.relief is None else d_m + max(width_m / 2 - 0.3, 0.0)  # no board over the kerb
+            self.put(model, float(s), side * (near_m + self.rng.uniform(0.0, 1.0)), turn_rad=0.0 if side < 0 else np.pi)
 
     def run(self, piece: "partial[Mesh]") -> None:
         """Add something that runs along the whole road; ``piece`` builds it over given stations."""
