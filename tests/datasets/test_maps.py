@@ -64,7 +64,7 @@ def test_a_map_is_its_name_and_settings(function):
 def test_unknown_maps_and_settings_are_errors():
     with pytest.raises(
         ConfigError,
-        match="edited, labels_at, move, posed, radar_view, separate_labels, sweeps, whole_bodies; got 'mirror'",
+        match="edited, labels_at, move, posed, radar_view, separate_labels, sweeps, where, whole_bodies; got 'mirror'",
     ):
         make("mirror", {})
     with pytest.raises(ConfigError, match=r"map 'sweeps': number: no such key.*settings count"):

@@ -3,8 +3,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from farfield.detectors.onnx.points import farthest_of_one
 from farfield.detectors.pointrcnn import points as ops
-from farfield.detectors.pointrcnn.points import _farthest_of_one, _farthest_side_by_side
+from farfield.detectors.pointrcnn.points import _farthest_side_by_side
 from farfield.geometry.boxes import Boxes, points_in_boxes
 
 
@@ -28,7 +29,7 @@ def greedy(points: np.ndarray, count: int) -> list[int]:
 def test_farthest_points_are_the_greedy_sequence(rng, method):
     cloud = road(rng, 700)
     if method == "of_one":
-        chosen = _farthest_of_one(cloud.numpy(), 90).tolist()
+        chosen = farthest_of_one(cloud.numpy(), 90).tolist()
     else:
         chosen = _farthest_side_by_side(cloud, [700], 90).tolist()
     assert chosen == greedy(cloud.numpy(), 90)

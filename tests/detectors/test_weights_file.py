@@ -13,8 +13,9 @@ from safetensors import safe_open
 from safetensors.torch import save
 
 from farfield.detectors import DETECTORS, build_detector
+from farfield.detectors.provenance import provenance_of
 from farfield.detectors.runtime import Detector
-from farfield.detectors.weights import _provenance_of, bundled_weights, load_weights, save_weights
+from farfield.detectors.weights import bundled_weights, load_weights, save_weights
 from farfield.errors import ConfigError, FarfieldError, FileFormatError
 from farfield.evaluation.evaluating import training_text
 from farfield.evaluation.leakage import digests_text
@@ -209,7 +210,7 @@ def test_what_can_be_read_of_anothers_provenance_stays() -> None:
     data = {"path": "x", "clouds": ["lidar"], "options": 3}
     record = {"experiment": {"data": data}, "streams": streams, "start": "x", "own": [1, {"kept": True}]}
     with pytest.warns(UserWarning, match=r"streams\.a\.frames.*streams\.b\.frame_digests") as warned:
-        read = _provenance_of(Path("w.safetensors"), json.dumps(record))
+        read = provenance_of(Path("w.safetensors"), json.dumps(record))
     assert "experiment.data.options" in str(warned[0].message)
     assert read == {
         "experiment": {"data": {"path": "x", "clouds": ["lidar"], "options": {}}},

@@ -125,9 +125,9 @@ def test_pasted_objects_touch_nothing_and_clear_their_place(rng):
     bank = ObjectBank()
     place = np.array([[20.0, 0.0, 0.0]])
     car = Boxes(centre_m=place, size_m=np.array([[4.0, 2.0, 2.0]]), yaw_rad=np.zeros(1), label="vehicle")
-    bank.add(cut_out(np.array([[20, 0, 0, 0, 1]] * 6, dtype=np.float32), car, min_points=5))
+    bank.add(cut_out(np.array([[20, 0, 0, 0, 0]] * 6, dtype=np.float32), car, min_points=5))
     farther = car.replace(centre_m=place * 2)
-    bank.add(cut_out(np.array([[40, 0, 0, 0, 1]] * 4, dtype=np.float32), farther, min_points=5))
+    bank.add(cut_out(np.array([[40, 0, 0, 0, 0]] * 4, dtype=np.float32), farther, min_points=5))
     assert len(bank.objects["vehicle"]) == 1  # the second has too few points
     ground = np.array([[20.5, 0, -0.5, 0, 0], [60, 0, 0, 0, 0]], dtype=np.float32)
     points, boxes = bank.paste(ground, Boxes.empty(), {"vehicle": 3}, rng)

@@ -94,7 +94,7 @@ def test_mined_negatives_are_pasted_without_a_box(rng: np.random.Generator, tmp_
     samples = samples_of(data, network, augmentation=config, negatives=negatives)
     bank = samples._bank.at(0)
     assert sorted(bank.objects) == [CLUTTER, "vehicle"]
-    points, boxes = bank.paste(np.zeros((0, 5), dtype=np.float32), Boxes.empty(), {CLUTTER: 4}, rng)
+    points, boxes = bank.paste(np.zeros((0, 6), dtype=np.float32), Boxes.empty(), {CLUTTER: 4}, rng)
     assert not len(boxes)
     assert 0 < len(points) < 200  # two stand at one place: one of them is pasted
 
@@ -117,7 +117,7 @@ def test_a_mined_negative_lowers_the_score_at_its_place(rng: np.random.Generator
     frames = [frame_of(index, rng) for index in range(4)]
     bare = [replace(f, clouds={"lidar": f.cloud()[f.cloud().points_m[:, 0] < 27]}) for f in frames[1:]]
     clutter = {frames[0].key: boxes_at((30.0, 6.0), label=CLUTTER)}
-    table = np.column_stack([frames[0].cloud().points_m, np.zeros(len(frames[0].cloud()))]).astype(np.float32)
+    table = np.column_stack([frames[0].cloud().points_m, np.zeros((len(frames[0].cloud()), 2))]).astype(np.float32)
     bank, taken = ObjectBank(), cut_out(table, clutter[frames[0].key], min_points=5)
     bank.add(taken)
     network = build_detector(PILLARS, seed=0)
@@ -138,7 +138,7 @@ def learn(
     optimizer = torch.optim.AdamW(network.train().parameters(), lr=8e-3)
     for step in range(steps):
         frame = frames[step % len(frames)]
-        table = np.column_stack([frame.cloud().points_m, np.zeros(len(frame.cloud()))]).astype(np.float32)
+        table = np.column_stack([frame.cloud().points_m, np.zeros((len(frame.cloud()), 2))]).astype(np.float32)
         points, boxes = augment(table, frame.boxes, config, np.random.default_rng(step), bank)
         cloud = torch.from_numpy(points[:, :3].copy())
         targets = [network.assigner(boxes, {"points": cloud.numpy()})]

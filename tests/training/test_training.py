@@ -295,7 +295,7 @@ def test_min_points_counts_the_present_sweep_only(data):
     """A box that only earlier sweeps filled is not asked for, nor cut out to be pasted."""
     place = np.array([[20.0, 0.0, 0.0]])
     car = Boxes(centre_m=place, size_m=np.array([[4.0, 2.0, 2.0]]), yaw_rad=np.zeros(1), label="vehicle")
-    rows = np.array([[20, 0, 0, 0, 1], [20, 0, 0, 0.1, 1], [20, 0, 0, 0.1, 1]], dtype=np.float32)
+    rows = np.array([[20, 0, 0, 0, 0], [20, 0, 0, 0.1, 1], [20, 0, 0, 0.1, 1]], dtype=np.float32)
     assert len(cut_out(rows, car, min_points=1)) == 1
     assert len(cut_out(rows, car, min_points=2)) == 0
     one, two = samples(data, min_points=3), samples(data, min_points=3)
@@ -343,7 +343,7 @@ def test_far_boxes_weigh_more_in_the_loss():
 def test_pasted_objects_keep_their_velocities() -> None:
     car = Boxes(centre_m=np.array([[20.0, 0, 0]]), size_m=np.array([[4.0, 2, 2]]), yaw_rad=np.zeros(1), label="car")
     bank = ObjectBank()
-    points = np.array([[20, 0, 0, 0, 1]] * 6, dtype=np.float32)
+    points = np.array([[20, 0, 0, 0, 0]] * 6, dtype=np.float32)
     bank.add(cut_out(points, car.replace(velocity_m_s=np.array([[5.0, 1.0, 0.0]])), min_points=5))
     away = car.replace(centre_m=np.array([[20.0, 9, 0]]))
     for there, expected in ((away, [np.nan] * 3), (away.replace(velocity_m_s=np.ones((1, 3))), [1.0] * 3)):
