@@ -82,7 +82,7 @@ def load_detector(
         nms_iou: Boxes that overlap a better one by more are not given; likewise.
         max_boxes: Boxes given in a frame; likewise.
         classes: Classes to give, such as ``["vehicle"]``, or for each of them the name to give it, such as
-            ``{"vehicle": "car", "large_vehicle": "car"}``; all unless given.
+            ``{"vehicle": "car", "large_vehicle": "car"}`` (default: all).
 
     Raises:
         FarfieldError: If there is nothing of this name.
@@ -119,7 +119,7 @@ def export(
         detector: A bundled detector's name, a run's folder, a weights file, or a loaded detector (fp32, on the CPU).
         out: The file, ``.onnx``; :func:`load_detector` takes it.
         licence: Under which the weights may be used, for the card.
-        score_threshold: The file's own threshold; that of the weights unless given.
+        score_threshold: The file's own threshold (default: that of the weights).
 
     Returns:
         What was written, with the parity of each cloud.
@@ -185,7 +185,7 @@ def stream(
         detector: A detector, or any function from a frame to scored boxes.
         source: A data set or bag, or its path; with ``idle_s`` a folder of clouds that fills; or frames or clouds one
             after the other, such as a generator that waits for a sensor.
-        rate_hz: Take sweeps at this rate, as a sensor gives them; as they come unless given.
+        rate_hz: Take sweeps at this rate, as a sensor gives them (default: as they come).
         drop: Which sweep is dropped where ``waiting`` others wait: ``"oldest"``, ``"newest"`` or ``"none"``; unless
             given none, but with ``rate_hz`` the oldest.
         waiting: Sweeps that may wait.
@@ -362,7 +362,7 @@ def score(
 def simulate(preset: str, out: Path | str, **options: Any) -> "RecordingSummary | RawRecorded":
     """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE: what ``farfield simulate`` does.
 
-    Called again, it goes on where it stopped. The bytes do not depend on the number of workers.
+    Called again, it resumes where it stopped. The bytes do not depend on the number of workers.
 
     Args:
         preset: Such as ``"cirrus-sim-mini"`` or ``"kradar-sim"``.
@@ -443,7 +443,7 @@ def adapt(
             learnt from do not count.
         learn_from: Labels of a few of your sweeps, which teach beside the pseudo boxes of all others: a data set with
             annotated frames, or a table or folder of labels of frames of ``data``. None may be among ``labels``.
-        bulk: Who detects; this process unless given.
+        bulk: Who detects (default: this process).
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
         **choices: ``frames``, ``source_frames``, ``clouds``, ``rounds``, ``steps``, ``minutes``, ``donors``,

@@ -83,7 +83,7 @@ def end_myself(*_: object) -> int:
 
 @pytest.mark.parametrize(
     ("verb", "words"),
-    [("convert", "again: it goes on where it stopped.\n"), ("score", "Run the same command again.\n")],
+    [("convert", "again: it resumes where it stopped.\n"), ("score", "Run the same command again.\n")],
 )
 def test_a_verb_that_sigterm_ends_says_how_to_go_on(
     verb: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

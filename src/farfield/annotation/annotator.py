@@ -112,12 +112,12 @@ class Annotator:
 
     Args:
         data: The data set, without maps.
-        frame: Gives a frame by its number, such as a cache; the data set's own unless given.
-        classes: ``name:length,width,height`` of the classes to offer; the data set's own unless given.
+        frame: Gives a frame by its number, such as a cache (default: the data set's own).
+        classes: ``name:length,width,height`` of the classes to offer (default: the data set's own).
         extent: What the boxes hold, whole bodies or visible parts; None where it is still to be declared.
-        edits: Folder of the journal; beside the labels unless given.
+        edits: Folder of the journal (default: beside the labels).
         out: Folder into which labels are saved; see :func:`~farfield.annotation.saving.save_place` unless given.
-        to: Format of the saved labels; the data set's own unless given.
+        to: Format of the saved labels (default: the data set's own).
         write: Whether saves go into the data set's own label files.
 
     Raises:

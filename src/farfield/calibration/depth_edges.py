@@ -52,7 +52,7 @@ def sweep_edges(data: Dataset, index: int, *, camera: str, lidar: str | None = N
         data: The data set.
         index: The frame.
         camera: Name of the image whose moment counts.
-        lidar: Name of the cloud, in the frame's coordinates; the only one unless given.
+        lidar: Name of the cloud, in the frame's coordinates (default: the only one).
     """
     frame = data[index]
     cloud = frame.cloud(lidar)

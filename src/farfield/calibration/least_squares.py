@@ -117,7 +117,7 @@ def solve(
         residuals: From values, shape (k,), to n residuals of d components, divided by their sigma.
         start: The priors' means, and values to begin with unless ``begin`` is given, shape (k,).
         parameters: What each value is.
-        group: Block of frames of each residual, shape (n,); each its own unless given.
+        group: Block of frames of each residual, shape (n,) (default: each its own).
         share: For how many observations each residual counts, shape (n,): less than one where several err alike.
         begin: Values to begin with, shape (k,).
         huber: From how many sigma a residual counts linearly.
@@ -174,7 +174,7 @@ def appraise(
         group: As of :func:`solve`.
         share: As of :func:`solve`.
         huber: As of :func:`solve`.
-        weight: Of each residual, shape (n,); from its length and ``share`` unless given.
+        weight: Of each residual, shape (n,) (default: from its length and ``share``).
 
     Raises:
         ConfigError: If there are no residuals, or they are not finite.

@@ -34,9 +34,9 @@ class CalibrationOptions:
     """How a sensor is calibrated: flags of ``farfield calibrate``, keywords of :func:`farfield.calibrate`.
 
     Args:
-        sequence: Which one; the first unless given.
+        sequence: Which one (default: the first).
         frames: How many frames to use, spread over the sequence; for the radar in runs of ten.
-        camera: Name of the image; the first with a calibration unless given.
+        camera: Name of the image (default: the first with a calibration).
         lidars: The clouds to register, the reference first.
         pairs: CSV of picked pairs (x_m,y_m,z_m,u_px,v_px): the camera begins from them.
         focal: With --pairs, solve for the focal length too (twelve pairs).
@@ -45,9 +45,9 @@ class CalibrationOptions:
         position: Where the lens stands in the LiDAR's coordinates: x forward, y left, z up, metres.
         facing: Where it looks, degrees counter-clockwise from ahead.
         car: CSV of points clicked in a scanned model of the car (name,x,y,z), instead of --position and --facing.
-        x: Start of the radar's x in metres, as K-Radar's file has it; the data set's own unless given.
+        x: Start of the radar's x in metres, as K-Radar's file has it (default: the data set's own).
         y: Start of its y.
-        yaw: Start of its yaw in degrees; the data set's own unless given.
+        yaw: Start of its yaw in degrees (default: the data set's own).
         frame_offset: Start of the radar frames to add to those that are paired.
         corners: Inner corners of the board in a row and in a column.
         square: Side of its squares in metres.

@@ -187,7 +187,7 @@ _TERMINATED = 128 + 15
 
 def _again(verb: str) -> str:
     """How a verb that was stopped is gone on with."""
-    return f"Run the same command again{': it goes on where it stopped' if verb in RESUMING else ''}."
+    return f"Run the same command again{': it resumes where it stopped' if verb in RESUMING else ''}."
 
 
 def _forget_output() -> None:

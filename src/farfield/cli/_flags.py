@@ -32,22 +32,21 @@ class FileFlags:
     Args:
         mapping: Mapping YAML of the classes of data in any format, classes: {Auto: vehicle}; or of a Cirrus copy that
             deviates from the documented layout.
-        columns: Columns of .bin files; what the numbers themselves show unless given.
-        intensity_scale: Value that stands for full reflectance in all clouds; 1, 255 or 65535 by some of them unless
-            given.
+        columns: Columns per point in .bin files (default: detected).
+        intensity_scale: Value of full reflectance in all clouds (default: detected: 1, 255 or 65535).
         point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
-        radars: Topics of a bag's clouds that a radar took, or none; their names and columns decide unless given.
-        tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro; decided by the list
-            beside the file, the writer's marks and the points in the boxes unless given.
-        size_order: Order in which nuScenes, TruckScenes and T4 store sizes: wlh, as their schema says, unless given;
-            lwh of sets that store the length first.
+        radars: Topics of a bag's clouds that come from radars, or none (default: detected from names and columns).
+        tracklets: What the numbers in tracklet_labels.xml stand for: kitti, cvat or datumaro (default: decided by the
+            list beside the file, the writer's marks and the points in the boxes).
+        size_order: Order in which nuScenes, TruckScenes and T4 store sizes; lwh for data sets that store the length
+            first (default: wlh, as their schema says).
         tables: Folder of nuScenes' or TruckScenes' tables, such as v1.0-mini, where there are several.
-        label_axes: Axes of labels in KITTI's columns: camera unless given; lidar (x y z is a box's centre in the
+        label_axes: Axes of labels in KITTI's columns: camera (the default), lidar (x y z is a box's centre in the
             LiDAR's axes, rotation_y its yaw about z) or lidar-bottom (x y z is the bottom's centre). Of OpenPCDet's and
-            mmdetection3d's labels lidar or lidar-bottom; decided by the points in the boxes unless given. Of
-            Supervisely's point clouds supervisely (a box's width is x) or cvat (its length is); decided by the longer
-            sides of vehicles and bicycles unless given.
-        label_angles: What rotations in labelCloud's files count, radians or degrees; what a file shows unless given.
+            mmdetection3d's labels lidar or lidar-bottom (default: decided by the points in the boxes). Of Supervisely's
+            point clouds supervisely (a box's width is x) or cvat (its length is) (default: decided by the longer sides
+            of vehicles and bicycles).
+        label_angles: Unit of rotations in labelCloud's files: radians or degrees (default: detected).
         reader: Change one option of the format's reader that has no flag, as name=value, such as whole_scenes=true or
             sweeps=5 of nuScenes; may be given several times. `farfield formats NAME` lists them.
     """
@@ -119,7 +118,7 @@ class ReadingFlags(FileFlags):
     """How a data set's files are read, K-Radar's among them; other flags as of :class:`FileFlags`.
 
     Args:
-        labels: Version of K-Radar's annotations, such as v2.0; the newest that each sequence has unless given.
+        labels: Version of K-Radar's annotations, such as v2.0 (default: the newest that each sequence has).
         roots: Further folders of a K-Radar that is spread over several disks.
     """
 
@@ -207,9 +206,9 @@ class BoxFlags:
     """Which of a detector's boxes count; what is not given is the weights' own.
 
     Args:
-        score_threshold: Boxes below this score are left out; the weights' own threshold unless given.
-        nms_iou: Boxes that overlap a better one by more are left out; the weights' own unless given.
-        max_boxes: Boxes in a frame at most; the weights' own number unless given.
+        score_threshold: Boxes below this score are left out (default: the weights' own threshold).
+        nms_iou: Boxes that overlap a better one by more are left out (default: the weights' own).
+        max_boxes: Boxes in a frame at most (default: the weights' own number).
         classes: Classes to give, comma-separated, such as vehicle,pedestrian; OLD:NEW renames, such as
             vehicle:Car,bicycle.
     """
@@ -240,19 +239,18 @@ class ScoringFlags:
     """How boxes are scored: settings of a protocol.
 
     Args:
-        label: The class that is scored by range; unless given the most frequent one, or with K-Radar's protocols every
-            one.
-        range_bins_m: Edges of the range bins; the protocol's own unless given: 0,70,150,250, for kradar 0,20,40,60,80.
-        epsilons: Values of epsilon in wDDS' omega = exp(epsilon d), where 0 is DDS; for dds 0,0.003,0.006,0.009 unless
-            given, for nuscenes 0.
+        label: The class that is scored by range (default: the most frequent one; with K-Radar's protocols every one).
+        range_bins_m: Edges of the range bins (default: the protocol's own: 0,70,150,250; for kradar 0,20,40,60,80).
+        epsilons: Values of epsilon in wDDS' omega = exp(epsilon d), where 0 is DDS (default: 0,0.003,0.006,0.009 for
+            dds, 0 for nuscenes).
         epsilon: The old name of epsilons.
         region: window: x 0..250, |y| <= 50 m and the outermost bin edges; range: the outermost bin edges; none: all.
-            Unless given window for dds, but none for score's files in KITTI's and nuScenes' formats, and none for the
-            others. For kradar: wide (unless given), narrow, none or six bounds x,x,y,y,z,z in the radar's frame.
-        iou: For tracking: the overlap that a match needs at least; 0.25 unless given.
+            Default: window for dds, but none for score's files in KITTI's and nuScenes' formats, and none for the
+            others. For kradar: wide (the default), narrow, none or six bounds x,x,y,y,z,z in the radar's frame.
+        iou: For tracking: the overlap that a match needs at least (default: 0.25).
         least_track_score: For tracking: tracks whose mean score is lower are left out.
-        label_version: For kradar: the annotation's version, which stands beside the result; the data set's own unless
-            given.
+        label_version: For kradar: the annotation's version, which stands beside the result (default: the data set's
+            own).
         options: Further settings of the protocol, such as ap=area distance=bev relabel=truck:vehicle,bus:vehicle
             (added to the protocol's own; relabel= alone is none), for kradar boxes_in=os2-64
             classes=vehicle,pedestrian score_cut=0.3.

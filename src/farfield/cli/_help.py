@@ -20,6 +20,7 @@ _SHARED = {
     "jobs": "processes",
 }
 """Groups of flags that many verbs have, by the first part of a flag's dest: the short help lists them by name alone."""
+_NESTED = r"(?:[^()]|\([^()]*\))*"
 _FIRST = ("out", "json", "protocol", "where")
 """Flags that the short help explains where few fit."""
 
@@ -37,8 +38,13 @@ def plain_metavar(argument: Any) -> str:
 
 
 def default_and_help(argument: Any) -> tuple[str, str]:
-    """What an argument is unless given, empty where that says nothing, and what it does."""
-    match = re.fullmatch(r"(.*?) ?\((default: ?(.*)|required|optional|repeatable)\)", argument.help or "", re.DOTALL)
+    """The parser's default of an argument, empty where that says nothing, and what the argument does.
+
+    What the docstring calls a default stays in its text.
+    """
+    match = re.fullmatch(
+        rf"(.*) ?\((default: ?({_NESTED})|required|optional|repeatable)\)", argument.help or "", re.DOTALL
+    )
     if match is None:
         return "", " ".join((argument.help or "").split())
     default = match.group(3) or ""
@@ -152,8 +158,10 @@ def _entry(names: str, argument: Any, width: int, *, everything: bool) -> Iterat
 
 
 def _first_clause(text: str) -> str:
-    """The first sentence, or what stands before its semicolon."""
-    return re.split(r"(?<=[\w)`'])[.;](?= )", text, maxsplit=1)[0].rstrip(".")
+    """The first sentence, or what stands before its semicolon, with the default that the text names."""
+    clause = re.split(r"(?<=[\w)`'])[.;](?= )", text, maxsplit=1)[0].rstrip(".")
+    default = re.search(rf"\(default: {_NESTED}\)", text)
+    return clause if default is None or default.group() in clause else f"{clause} {default.group()}"
 
 
 def _all_names(argument: Any) -> str:

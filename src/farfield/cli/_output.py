@@ -59,7 +59,7 @@ def console(*, stderr: bool = False, width: int | None = None) -> "Console":
 
     Args:
         stderr: Print on the error stream.
-        width: Columns where the output is no terminal; as the surroundings say unless given.
+        width: Columns where the output is no terminal (default: as the surroundings say).
     """
     from rich.console import Console
 
@@ -102,7 +102,7 @@ def print_doubts(data: "Dataset", cloud: str | None = None) -> None:
 
     Args:
         data: The data set, as the detector is to see it.
-        cloud: Which of its clouds; the first of a LiDAR unless given.
+        cloud: Which of its clouds (default: the first of a LiDAR).
     """
     from farfield.inspection.axes_and_units import first_doubts
 

@@ -54,12 +54,11 @@ def run(
       farfield adapt pointpillars-cirrus-sim my-sweeps --donors 40
       farfield adapt pointpillars-cirrus-sim my-sweeps --rounds 3 -o method.strong.thinning=0.5
 
-    Confident detections in your sweeps teach it as objects, less confident ones are ignored, and labelled
-    frames like those that it learnt from stay in every batch: they are simulated, unless --source names some. Labels of
-    your sweeps are not looked at, but for those of --learn-from: where a few sweeps are labelled, they teach in every
-    batch too. The last step counts, not the best one. OUT then holds
-    weights.safetensors, which all verbs take as a detector, and report.html, which shows what changed. A killed command
-    goes on to the same weights.
+    Confident detections in your sweeps become training objects, less confident ones are ignored, and every batch also
+    holds labelled frames like those of the original training: simulated ones, unless --source names others. Labels of
+    your sweeps are not read, except those of --learn-from, which join every batch. The weights of the last step are
+    taken, not the best ones. OUT then holds weights.safetensors, which all verbs take as a detector, and report.html,
+    which shows what changed. A killed command resumes to the same weights.
 
     Args:
         detector: A bundled detector's name, a run's folder, or a weights file.
@@ -72,7 +71,7 @@ def run(
             learnt from do not count, so that DATA itself may be named; frames of --learn-from are refused.
         learn_from: Labels of a few of your sweeps to learn from: a data set's folder with annotated frames, DATA itself
             among them; or a table (.csv) or a folder (FRAME.json) of boxes of frames of DATA.
-        clouds: Clouds of the sweeps to learn from, separated by commas; the first that suits unless given.
+        clouds: Clouds of the sweeps to learn from, separated by commas (default: the first that suits).
         rotate_deg: Turn every sweep counter-clockwise about z; 180 looks backwards.
         reading: How the files of the sweeps and of the labelled frames are read.
         frames: Sweeps to learn from at most, spread evenly; 0 takes all.
@@ -88,7 +87,7 @@ def run(
             background. The sweeps have to be in their sensor's axes.
         seed: Another seed simulates other roads and draws other batches.
         jobs: Who does the work.
-        out: Folder of the adaptation; runs/adapted-DATA unless given.
+        out: Folder of the adaptation (default: runs/adapted-DATA).
         overwrite: Begin anew; simulated source frames stay.
         dry_run: Say what would be written, and write nothing.
     """

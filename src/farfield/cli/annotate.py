@@ -45,22 +45,22 @@ def run(
 
     Args:
         data: Folder of a data set or of clouds; its format is recognised.
-        annotator: Who annotates; the login name unless given. Undo takes back one's own edits.
-        classes: The classes to offer and their usual sizes in metres; the data set's own unless given.
-        extent: What the boxes hold: whole bodies (full) or visible parts (visible); asked for once unless given.
-        out: Folder into which labels are saved; beside the journal unless given.
-        to: Format of the saved labels; the data set's own unless given.
+        annotator: Who annotates (default: the login name). Undo takes back one's own edits.
+        classes: The classes to offer and their usual sizes in metres (default: the data set's own).
+        extent: What the boxes hold: whole bodies (full) or visible parts (visible) (default: the page asks once).
+        out: Folder into which labels are saved (default: beside the journal).
+        to: Format of the saved labels (default: the data set's own).
         write: Save into the data set's own label files.
         save_at_exit: Write the labels also when the studio ends; else what was not saved stays in the journal.
         detector: Bundled names, runs' folders or weights files, comma-separated: their boxes can be proposed.
         predictions: Files of boxes to compare with.
         format: Format of the predictions.
-        protocol: By which predictions are matched with the truth; the data set's own unless given.
+        protocol: By which predictions are matched with the truth (default: the data set's own).
         threshold: Least score of a detector's boxes.
         frame: Frame to begin with: its number, or sequence/frame.
         reading: How the data set's files are read.
-        edits: Folder of the journal; .farfield-studio beside the labels unless given.
-        port: Port to listen on; the first free one from 8877 on unless given.
+        edits: Folder of the journal (default: .farfield-studio beside the labels).
+        port: Port to listen on (default: the first free one from 8877 on).
         browser: Open the browser; never over SSH.
     """
     from farfield.studio.options import DatasetOpener, StudioSettings

@@ -33,8 +33,8 @@ def run(
       farfield anonymize dash.mp4 covered
       farfield anonymize photos covered --no-plates
 
-    Writes them under their names without any of their metadata or sound, anonymized.jsonl, which says what was covered
-    where and why, and anonymized.html with the doubtful cases. Interrupted, the same command goes on.
+    Writes them under the same names without metadata or sound, anonymized.jsonl, which lists what was covered where and
+    why, and anonymized.html with the doubtful cases. After an interruption the same command resumes.
 
     Args:
         path: A folder, such as a data set's, or one picture (.jpg, .png) or film (.mp4, ...: extra video).

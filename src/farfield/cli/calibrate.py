@@ -62,9 +62,9 @@ def run(
       farfield calibrate lidar-camera kitti --intrinsics intrinsics.json --car clicked.csv
       farfield calibrate radar-lidar K-Radar --page --no-browser
 
-    Prints a table of each value with its change and sigma, the residual, and whether to keep or to replace what was
-    there; writes calibration.json and a picture before and after. Nothing of the data set is changed unless --save says
-    so; what was there is copied beside it first.
+    Prints a table of each value with its change and sigma, the residual, and whether to keep or to replace the old
+    value; writes calibration.json and a picture before and after. The data set is changed only by --save, which keeps a
+    copy of the old files.
 
     Args:
         kind: What against what.
@@ -74,9 +74,9 @@ def run(
         reading: How the files are read.
         save: File to write the result into: calib_radar_lidar.txt, cam_N.yml, KITTI's calibration, or JSON; or the data
             set's own folder: then the files from which its reader reads.
-        out: Folder to write into; runs/calibrate-NAME unless given.
+        out: Folder to write into (default: runs/calibrate-NAME).
         page: Calibrate radar-lidar or lidar-camera by hand and by the solvers on a page in the browser.
-        port: Port of the page; the first free one from 8877 on unless given.
+        port: Port of the page (default: the first free one from 8877 on).
         browser: Open the browser; never over SSH.
         json: Also write the result as JSON into this file; - prints it instead of the table.
     """

@@ -50,36 +50,34 @@ def run(
       farfield compare data/sim data/kitti --clouds gaussian:lidar
       farfield compare data/sim data/kitti --floor data/view_of_delft
 
-    How like a real roadside the simulated one is: its thickness, scatter and clutter, how well a classifier of small
-    patches tells the two apart on sequences that it did not learn from (on other sweeps, where one has a single
-    sequence), and by what. Two real sets are told apart to some degree too: with --floor a second real set says to
-    which.
-
-    What one of them lacks is named and left out. Writes comparison.html, one self-contained page, and comparison.json.
+    Measures how close a simulated roadside is to a real one: thickness, scatter, clutter, and how well a classifier of
+    small patches separates the two on held-out sequences (held-out sweeps, where one has a single sequence), with the
+    features that separate them. Two real data sets can be separated to some degree as well: --floor names a second real
+    set to measure that. What one of them lacks is named and left out. Writes comparison.html, one self-contained page,
+    and comparison.json.
 
     Args:
         a: One data set; its format is recognised.
         b: The other.
         frames: Frames to read of each, spread evenly; 0 reads all.
-        names: What to call them, and the floor behind them, separated by commas; their folders' names unless given.
+        names: Names of both, and then of the floor, separated by commas (default: their folders' names).
         vehicle_labels: Classes that count as vehicles, separated by commas.
         focus_deg: Elevation about which shares of returns are also counted.
-        clouds: Which cloud of A stands beside which of B, as A:B with commas between, such as gaussian:lidar; unless
-            given those of one name, or where no name is in both the first beside the first.
+        clouds: Which cloud of A to compare with which of B, as A:B, comma-separated, such as gaussian:lidar (default:
+            clouds of the same name, else the first of each).
         jobs: Who does the work.
         reading: How the files of all are read; what one reader does not know counts for the others.
         mapping_a: Mapping YAML of a alone, of its classes or its layout.
         mapping_b: The same of b.
-        columns_a: Columns of .bin files of a; what the numbers themselves show unless given.
+        columns_a: Columns per point in .bin files of a (default: detected).
         columns_b: The same of b.
-        intensity_scale_a: Value that stands for full reflectance in all clouds of a; 1, 255 or 65535 by some of them
-            unless given.
+        intensity_scale_a: Value of full reflectance in all clouds of a (default: detected: 1, 255 or 65535).
         intensity_scale_b: The same of b.
         point_times_a: Unit of the points' times of a; auto decides by the sweeps' period, none leaves the column as it
             is.
         point_times_b: The same of b.
         floor: Another real data set: how well b is told apart from it stands beside how well from a.
-        out: Folder to write into; runs/compare-A-B unless given.
+        out: Folder to write into (default: runs/compare-A-B).
         json: Write what is in comparison.json into this file too; - prints it.
     """
     from farfield.errors import ConfigError

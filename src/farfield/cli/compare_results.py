@@ -26,18 +26,17 @@ def run(
       farfield compare-results ours.json theirs.json --separate
       farfield compare-results a.json b.json --by range --figures dds/0.003/dds
 
-    Reads what farfield score --json and farfield evaluate write. Two results are of one convention if they agree in
-    every setting that their figures depend on. If they do not, the command says in which they differ and stops, or,
-    with --separate, gives each convention columns of its own and names it. Other data, by the fingerprints of files
-    with their reader's options and of annotated boxes, always have columns of their own. Under each table stands what
-    every row is of.
+    Reads what farfield score --json and farfield evaluate write. Two results share a convention if they agree in every
+    setting that affects their figures. If they do not, the command lists the differences and stops, or, with
+    --separate, gives each convention columns of its own. Different data (by the fingerprints of files, reader options
+    and annotated boxes) always get columns of their own. The source of each row is listed under the table.
 
     Args:
         results: JSON files of results, or folders of farfield evaluate.
-        names: What to call the rows, separated by commas; unless given, detector, data and cloud of an evaluation, and
-            the files' names of other results.
-        label: The class; all unless given.
-        figures: Figures to show, such as dds/0/map or, of K-Radar's protocols, 3d/0.3; a choice unless given.
+        names: Names of the rows, comma-separated (default: detector, data and cloud of an evaluation, else the file's
+            name).
+        label: The class (default: all).
+        figures: Figures to show, such as dds/0/map or, of K-Radar's protocols, 3d/0.3 (default: the main ones).
         by: Columns: none: the figures of the whole; else the parts by that, a table a figure.
         separate: Put numbers of different conventions into separate columns.
         paper: The table of the K-Radar paper by weather (or --by road, time) as Markdown, with the published rows under

@@ -71,12 +71,12 @@ def run(
       farfield convert data/kradar data/store --to radar-store --verify
       farfield convert downloads data/store --to radar-store --roots /media/disk2/downloads
 
-    An interrupted conversion goes on where it stopped: files that are there, intact and from unchanged sources are
-    skipped. What the target does not hold of the source is said first, a line each, by frames that are spread over the
-    set, and kept in the folder's .farfield_losses.jsonl. A radar store also gets radar_store.json, which tells how many
-    bytes each task needs. Of a folder of K-Radar's downloads it is made archive by archive: how much disk and time it
-    takes is said first, what was unpacked is deleted once its part of the store is verified, no source is changed, and
-    annotations, calibrations and weather are unpacked into the store, which then opens by itself.
+    An interrupted conversion resumes: files that are intact and whose sources are unchanged are skipped. What the
+    target format cannot hold is listed first, from frames spread over the data set, and stored in the folder's
+    .farfield_losses.jsonl. A radar store also gets radar_store.json with the bytes that each task needs. A folder of
+    K-Radar's downloads is converted archive by archive: the disk space and time needed are printed first, unpacked
+    files are deleted once their part of the store is verified, sources are never changed, and annotations, calibrations
+    and weather are unpacked into the store, which then opens by itself.
 
     Args:
         source: Folder of the data set, whose format is recognised; with --to radar-store also one of K-Radar's zip
@@ -88,8 +88,8 @@ def run(
         reading: How the files are read.
         format: Format of the source, if it is not to be recognised.
         boxes: Label the frames' own boxes, or the full objects' where the data set knows both.
-        cloud: Which cloud to write (gaussian, uniform...); the first unless given.
-        reference: Sensor in whose coordinates boxes and clouds are written, such as radar; the data's own unless given.
+        cloud: Which cloud to write (gaussian, uniform...) (default: the first).
+        reference: Sensor in whose coordinates boxes and clouds are written, such as radar (default: the data's own).
         products: What a radar store keeps: cells, polar3d, or both with a comma between.
         region: Where a radar store keeps cells.
         rate: Share of cells that a radar store keeps; 1 keeps every cell of the region.

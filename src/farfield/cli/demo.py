@@ -54,14 +54,14 @@ def run(
     With --real nothing is simulated: the detector, which learnt from simulated frames alone, searches the Open Sweeps,
     real streets that ship with the package, and is scored on them; a picture shows one street with what it finds.
 
-    Interrupted, the same command goes on where it stopped.
+    After an interruption the same command resumes.
 
     Args:
         radar: 4D radar beside LiDAR, in normal weather and in sleet.
         real: Real sweeps of streets in the place of simulated ones.
         out: Folder for the frames and the report.
-        sequences: Number of roads; highway and town take turns. 4 unless given, with --radar 10 drives.
-        frames: Number of frames in all; 20 unless given, with --radar 40, half of them in each weather.
+        sequences: Number of roads; highway and town take turns (default: 4; with --radar 10 drives).
+        frames: Number of frames in all (default: 20; with --radar 40, half of them in each weather).
         seed: Another seed gives other roads and traffic.
         dry_run: Say what would be written, and write nothing.
     """

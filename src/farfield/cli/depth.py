@@ -37,15 +37,15 @@ def run(
       farfield depth data/kradar --cloud os2-64 --camera cam-front --out depth/ --max-uncertainty 2
       farfield depth Cirrus_dataset1 --mapping calibrated.yaml --cloud uniform --out depth/ --workers 2
 
-    Depth is the distance along the optical axis: value / 256 in metres, 0 where there is none. Files of scale 128 say
-    so in the text chunk depth_scale, and depth.json says it for all. What lies beyond a scale's end is left out and
-    counted. An interrupted run goes on where it stopped.
+    Depth is the distance along the optical axis: value / 256 in metres, 0 where there is none. Files of scale 128 note
+    it in the text chunk depth_scale; depth.json has the scale of all. Depths beyond the scale's end are left out and
+    counted. An interrupted run resumes.
 
     Args:
         data: Folder of the data set; its format is recognised.
         out: Folder to write into: depth/, uncertainty/ and depth.json.
-        cloud: Which cloud; the first of a LiDAR unless given.
-        camera: Which camera; the first calibrated one unless given.
+        cloud: Which cloud (default: the first of a LiDAR).
+        camera: Which camera (default: the first calibrated one).
         method: How gaps are filled: in the sensor's own rings, by a Delaunay mesh, by IP-Basic's rules, by the nearest
             pixel, or not at all; auto takes rings where they are known or can be told from the order of the points.
         scale: Steps a metre. auto takes 256, which ends at 255.996 m, unless a point of any frame lies beyond it.

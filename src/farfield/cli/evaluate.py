@@ -68,39 +68,38 @@ def run(
       farfield evaluate runs/second data/val --where 'range_m > 100 and weather == "sleet"'
       farfield evaluate pointpillars-cirrus-sim data/kitti --paste-cars hdl-64e
 
-    A line says what its figures are of: detector and data with their fingerprints, cloud, class, number of objects,
-    region, protocol, and whether the detector learnt from these frames. What is not given is the protocol's own
-    default; farfield.evaluate(detector, data) gives the same figures.
-    Interrupted, the same command goes on where it stopped; with other settings of the protocol nothing is detected
-    anew. What the clock measured stands in timing.json, apart from what was computed.
+    Each result names its detector and data with their fingerprints, cloud, class, number of objects, region and
+    protocol, and says whether the detector was trained on these frames. Settings that are not given take the protocol's
+    defaults; farfield.evaluate(detector, data) gives the same figures. After an interruption the same command resumes;
+    with other protocol settings the detector does not run again. Run times are in timing.json, apart from the scores.
 
     Args:
         detector: A bundled detector's name, a run's folder, a weights file, or an exported .onnx file.
         data: The data set; its format is recognised.
-        clouds: Which clouds, comma-separated; by default those that suit the detector.
-        split: train, val or test, or time-val and its like to cut each sequence in time; all frames unless given.
+        clouds: Which clouds, comma-separated (default: those that suit the detector).
+        split: train, val or test, or time-val and its like to cut each sequence in time (default: all frames).
         rotate_deg: Turn every frame counter-clockwise about z; 180 looks backwards.
         reading: How the files are read.
-        protocol: dds, nuscenes, kitti, kradar, kradar-compat:VARIANT or a registered one; kradar on K-Radar's layout
-            and dds on all others unless given. K-Radar's also scores each weather, road and time of day.
+        protocol: dds, nuscenes, kitti, kradar, kradar-compat:VARIANT or a registered one (default: kradar for K-Radar
+            data, dds for all others). K-Radar's also scores each weather, road and time of day.
         where: Only frames and boxes that fulfil a condition, such as 'range_m > 100 and weather == "sleet"'; columns:
             sequence, frame, weather, road, time, label, range_m, bearing_deg, x_m, y_m, z_m, length_m, width_m,
             height_m, yaw_deg, speed_m_s, and of annotated boxes points, track_id, visibility, occlusion, truncation.
         scoring: How the boxes are scored. All classes that the detector knows have a row too; large_vehicle counts as
             vehicle where no label is given.
         boxes: Which of the detector's boxes count.
-        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
+        precision: fp32, bf16 or fp16; auto takes bf16 where the hardware supports it, else fp32, and prints its choice.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         jobs: Who does the work.
         shown_frames: Frames in the report's pictures.
-        report: Draw the page; without it `farfield report` draws it later from what is kept.
+        report: Draw the page; otherwise `farfield report` can draw it later from the saved results.
         paste_cars: Also write false_vehicles.html: what the detector takes for vehicles on these sweeps without their
             annotated objects, by kind, and how many over the share that it finds of simulated cars that stand in them,
             as this sensor would see them, in the first of the clouds. At most 200 annotated sweeps, spread evenly;
             needs the extra `simulate`.
-        out: Folder of the evaluation and its report.html; runs/evaluation-DETECTOR-DATA unless given, with a number
-            behind it where another detector or other data of these names were evaluated there.
-        overwrite: Detect anew what an evaluation before found.
+        out: Folder of the evaluation and its report.html (default: runs/evaluation-DETECTOR-DATA, with a number
+            appended if that holds another detector or other data of the same names).
+        overwrite: Run the detector again on frames that an earlier evaluation finished.
         dry_run: Say what would be written, and write nothing.
         json: Write the result into this file as `farfield score --json` does, of several clouds by their names; -
             prints it.

@@ -14,8 +14,8 @@ def run(name: Positional[str] = "", /) -> int:
       farfield experiments pointpillars-cirrus-sim > mine.yaml
       farfield train pointpillars-cirrus-sim
 
-    `farfield train NAME` trains one. Simulated data are made where they are absent, in a folder below the current one;
-    the path of a real data set is set with -o data.path=FOLDER.
+    `farfield train NAME` trains one. Missing simulated data are generated in a folder below the current one; the path
+    of a real data set is set with -o data.path=FOLDER.
 
     Args:
         name: Print this experiment's YAML file: a start for one's own.

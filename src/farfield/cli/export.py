@@ -17,13 +17,13 @@ def run(
       farfield export runs/second second.onnx --score-threshold 0.2 --licence "CC BY 4.0"
       farfield predict second.onnx scan.pcd
 
-    The file holds the network from described points to decoded boxes; voxels and suppression are numpy's. Every verb
-    takes it where a detector is asked for, without torch. A file that does not agree with the network is not written.
+    The file holds the network from point features to decoded boxes; voxelisation and suppression run in numpy. Every
+    verb takes it as a detector, without torch. A file whose outputs differ from the network's is not written.
 
     Args:
         detector: A bundled detector's name, a run's folder, or a weights file.
         out: The file to write, .onnx; its card stands beside it, .md.
-        score_threshold: Boxes of a lower score are not given; the weights' own unless given.
+        score_threshold: Boxes of a lower score are not given (default: the weights' own).
         licence: Under which the weights may be used, for the card.
     """
     from farfield.errors import ConfigError

@@ -27,8 +27,8 @@ def run(
       farfield formats velodyne
       farfield formats --json -
 
-    Data sets come first, then labels, results and single clouds. "real files" says on what a reader was tried; "no real
-    file seen" means that it follows the format's description alone: look at its first frames with `farfield show`.
+    Data sets come first, then labels, results and single clouds. "real files" lists what a reader was tested on; "no
+    real file seen" means that it follows the format's description alone: check its first frames with `farfield show`.
 
     Args:
         name: Show all that is known of this one, or of those that a word stands for: a sensor (velodyne), a suffix

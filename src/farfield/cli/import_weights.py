@@ -25,14 +25,14 @@ def run(
       farfield import-weights mine.pth mine.safetensors --settings mine.yaml
       farfield predict kitti-second.safetensors scan.bin
 
-    A checkpoint does not hold its grid, anchors and thresholds: those of OpenPCDet's KITTI files are taken, and
+    A checkpoint does not hold its grid, anchors and thresholds: those of OpenPCDet's KITTI configurations are taken;
     --settings names a YAML file with those of another training, under our names, such as grid, anchors and max_points.
     Every key is used, ignored for a stated reason, or an error.
 
     Args:
         checkpoint: The checkpoint, .pth.
         out: The weights file to write, .safetensors.
-        kind: The checkpoint's detector; recognised unless given.
+        kind: The checkpoint's detector (default: recognised).
         settings: YAML file with settings of the detector that differ from OpenPCDet's for KITTI.
         allow_unknown: Leave out keys that the detector has no place for instead of failing.
         every_key: Show where each key went.

@@ -8,7 +8,7 @@ from farfield.cli._output import check_outputs
 
 
 def run(folder: Positional[Path], *, seed: int = 0) -> None:
-    """Write an example of an own data set: sweeps, boxes, detections, and a text that says what is what.
+    """Write an example of a data set of your own: sweeps, boxes, detections, and a text that says what is what.
 
     examples:
       farfield new-dataset my-sweeps

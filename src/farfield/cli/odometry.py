@@ -42,14 +42,14 @@ def run(
       farfield odometry kitti_raw --truth oxts_poses
       farfield track predictions.csv --data Cirrus_dataset1 --poses runs/odometry-Cirrus_dataset1 --out tracks.csv
 
-    Writes poses/DRIVE.csv, odometry.json and odometry.html, never into the data. Everything that opens data takes
-    them: ff.open_dataset(DATA, poses=OUT). Run again, it goes on where it stopped, in the middle of a drive too; the
-    bytes do not depend on interruptions or the number of workers.
+    Writes poses/DRIVE.csv, odometry.json and odometry.html, never into the data. Everything that opens data takes them:
+    ff.open_dataset(DATA, poses=OUT). An interrupted run resumes, in the middle of a drive too; results do not depend on
+    interruptions or the number of workers.
 
     Args:
         data: The data set.
-        out: Folder to write into; runs/odometry-NAME unless given.
-        cloud: Name of the cloud; the one in whose coordinates the frames stand unless given.
+        out: Folder to write into (default: runs/odometry-NAME).
+        cloud: Name of the cloud (default: the one in whose coordinates the frames stand).
         deskew: Move points to their sweep's moment, where their times are known.
         turning: How the scanner turns, seen from above, where points have no times and were not moved: the beam looks
             along x at the sweep's moment.
@@ -57,7 +57,7 @@ def run(
         reach_m: Farther points are left out.
         backward: Place the sweeps backwards too, which tells the drift and takes as long again.
         drives: Only these.
-        truth: Known poses to compare with, as `farfield odometry` writes them; those of the data unless given. Absolute
+        truth: Known poses to compare with, as `farfield odometry` writes them (default: those of the data). Absolute
             errors (ATE, after a rigid alignment) and relative ones (RPE) by step and length stand in accuracy.json too.
         reading: How the files are read.
         picture: SVG, PNG or JPEG of the tracks from above to write.

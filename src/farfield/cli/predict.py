@@ -64,28 +64,28 @@ def run(
       farfield predict pointpillars-cirrus-sim nuscenes --out results.json --to nuscenes
       farfield predict rtnh-kradar-sim data/kradar --out results --to kradar
 
-    `farfield score --format` reads each of them. What a form does not hold is said before anything is written.
-    Interrupted with --out, the same command goes on where it stopped.
+    `farfield score --format` reads each of them. What a format cannot hold is listed before anything is written. With
+    --out, an interrupted command resumes.
 
     Args:
         detector: A bundled detector's name, a run's folder, a weights file, or an exported .onnx file.
         files: Clouds (.pcd, .ply, .bin, .npy, .npz, .xyz, .las, .laz, .ffcloud), or one data set's folder.
         out: Where to write: a file ending in .csv, nuScenes' .json, Argoverse 2's .feather, Waymo's .bin, or a folder
-            with --to kitti, kradar, openpcdet or mmdetection3d; CSV is printed unless given.
-        to: What to write, by the tool that takes it; what the suffix of --out says unless given: boxes-csv, kitti
-            (FRAME.txt a frame, in a folder for each of several sequences; boxes in the camera), nuscenes (one JSON of
-            samples by their tokens, boxes in the world: of data in its schema alone; by its suffix alone .json takes
-            any frames under their own names), argoverse2 or waymo (submissions; boxes in the vehicle's coordinates,
-            frames named by their stamps), kradar (one score cut of K-Radar's kit: all and each condition), openpcdet
-            (its KITTI texts) or mmdetection3d (its inferencer's JSON a frame).
-        cloud: Which of a data set's clouds; the first that suits the detector unless given.
+            with --to kitti, kradar, openpcdet or mmdetection3d (default: print CSV).
+        to: Format to write (default: by the suffix of --out): boxes-csv, kitti (FRAME.txt a frame, in a folder for each
+            of several sequences; boxes in the camera), nuscenes (one JSON of samples by their tokens, boxes in the
+            world: of data in its schema alone; by its suffix alone .json takes any frames under their own names),
+            argoverse2 or waymo (submissions; boxes in the vehicle's coordinates, frames named by their stamps), kradar
+            (one score cut of K-Radar's kit: all and each condition), openpcdet (its KITTI texts) or mmdetection3d (its
+            inferencer's JSON a frame).
+        cloud: Which of a data set's clouds (default: the first that suits the detector).
         boxes: Which boxes are written: those that load_detector gives with the same settings. Without
             --score-threshold the weights' own threshold counts, and pictures leave out boxes below 0.3.
         rotate_deg: Turn every frame counter-clockwise about z first.
-        reference: Coordinates of the written boxes: those of the data unless given, or those in which the detector
-            sees the frames, such as radar.
+        reference: Coordinates of the written boxes (default: those of the data), such as radar for a radar detector's
+            own.
         reading: How the files are read.
-        precision: fp32, bf16, fp16; auto takes what the device multiplies itself, and says so.
+        precision: fp32, bf16 or fp16; auto takes bf16 where the hardware supports it, else fp32, and prints its choice.
         device: Where to run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         jobs: Who does the work.
         picture: Draw the first frame from above into this file, and its camera images with their boxes beside it, as

@@ -43,11 +43,11 @@ def run(
             them does not deafen.
         false_alarm: Probability that a cell of noise alone is detected.
         doppler: Velocity of a cell: the mean of its bins by power, or that of the strongest bin (takes the tesseract).
-        speed: How fast the car drives, m/s, to unwrap velocities; from the poses of the frames beside unless given.
+        speed: How fast the car drives, m/s, to unwrap velocities (default: from the poses of the frames beside).
         turn: How fast it turns to the left, degrees a second; with --speed.
         camera: Name of the image to show.
         reading: How the files are read.
-        out: Folder to write into; runs/radar-NAME unless given.
+        out: Folder to write into (default: runs/radar-NAME).
     """
     from farfield.errors import ConfigError
     from farfield.files.atomic import readable

@@ -43,7 +43,7 @@ def run(
       farfield report velodyne/ --film short.gif --frames 50 --rate-hz 5
 
     A film shows every sensor of the drive, boxes, and tracks with their trails; annotated boxes are solid, predicted
-    ones dashed. An interrupted film goes on where it stopped.
+    ones dashed. An interrupted film resumes.
 
     Args:
         evaluation: Folder or evaluation.json of `farfield evaluate`, the JSON of `farfield score --json`, or the folder
@@ -54,7 +54,7 @@ def run(
         film: Film to write instead: .mp4, .mov, .m4v or .mkv (extra `video`), .gif or .webp.
         predictions: Detections or tracks that the film shows; sequence and frame pair them with the data.
         format: Format of the predictions.
-        drive: Drive that the film shows; the first one unless given.
+        drive: Drive that the film shows (default: the first one).
         frames: Only so many frames from its beginning; 0: all.
         reach_m: How far ahead the film's views from above show.
         rate_hz: Frames a second; 0 takes the drive's own.

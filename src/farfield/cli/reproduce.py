@@ -40,11 +40,11 @@ def run(
       farfield reproduce cirrus --budget table2 --device cuda --workers 15 --train-only
       farfield reproduce cirrus --data /data/Cirrus --source /data/kitti --budget gpu
 
-    First some steps of each kind of run are measured, and what the whole will cost on this machine and which claims can
-    be decided at this size are printed. Then data are simulated, unless --data names the real ones, and the runs done
-    seed by seed. Interrupted at any time, the same command goes on: finished runs are not done again, an unfinished
-    training resumes. OUT holds report.html, reproduction.json with every figure and decision, plan.json, timing.json,
-    data and runs.
+    First some steps of each kind of run are timed; the cost of the whole on this machine, and the claims that can be
+    decided at this size, are printed. Then data are simulated, unless --data names real ones, and the runs are done
+    seed by seed. The same command resumes at any time: finished runs are not repeated, an unfinished training
+    continues. OUT holds report.html, reproduction.json with every figure and decision, plan.json, timing.json, data and
+    runs.
 
     Args:
         paper: cirrus: Tables I to VI. kradar: the table by weather and Table 9.
@@ -54,17 +54,17 @@ def run(
         plan: Only measure, and print what it would cost.
         page: Only write the page of the runs that are done, such as while others are at work.
         transfer: Instead K-Radar's table of transfer between radar data sets (appendix G), simulated: from none, from
-            the other radar, from the other side of the road, by share of the target's frames. OUT is
-            runs/reproduce-kradar-transfer unless given and holds report.html, transfer.txt, transfer.json, data, runs.
+            the other radar, from the other side of the road, by share of the target's frames. OUT (default:
+            runs/reproduce-kradar-transfer) holds report.html, transfer.txt, transfer.json, data, runs.
         seeds: With --transfer, only these seeds.
         data: The real data set; without one all is simulated.
-        source: Real data of the other device for Table IV, such as KITTI; simulated unless given.
+        source: Real data of the other device for Table IV, such as KITTI (default: simulated).
         workers: Processes, one thread each, which share the GPU if there is one; 0 takes as many as there are cores.
         device: What trains and detects; auto takes a GPU if there is one.
-        precision: Number type of all trainings; the budget's unless given. auto: bf16 where a GPU has it, else fp32.
+        precision: Number type of all trainings (default: the budget's). auto: bf16 where a GPU has it, else fp32.
         train_only: Simulate what runs learn from and train, and score nothing: the same command without it, here or
             where OUT was taken to without its data, scores. Needs no plan where the budget limits no minutes.
-        out: Folder; runs/reproduce-PAPER-BUDGET unless given.
+        out: Folder (default: runs/reproduce-PAPER-BUDGET).
         dry_run: Say what would be written, and write nothing; what it costs is measured, by --plan.
     """
     from farfield.papers import Reproduction, described

@@ -67,7 +67,7 @@ def run(
     annotated box counts.
 
     boxes-csv has the columns sequence (may be absent), frame, label, x, y, z, l, w, h, yaw_rad, score (empty for
-    labels), and perhaps reference, the sensor in whose coordinates the boxes stand. Predictions of kitti-tracking are
+    labels), and optionally reference, the sensor in whose coordinates the boxes are. Predictions of kitti-tracking are
     KITTI tracking text or 15 comma-separated columns.
 
     Args:
@@ -87,8 +87,8 @@ def run(
             kradar the folders of K-Radar's kit, predictions, labels and conditions in one; openpcdet its KITTI texts;
             mmdetection3d its inferencer's JSON or its KITTI texts.
         axes: Of --format kradar: exchanged (x y z hold left, up, ahead, and rotation_y the yaw, as the kit ships),
-            exchanged-turned (the same with yaw - 90 degrees), camera (KITTI's own) or lidar (x y z ahead, left, up);
-            decided from the boxes and said unless given, or refused where they do not decide it.
+            exchanged-turned (the same with yaw - 90 degrees), camera (KITTI's own) or lidar (x y z ahead, left, up)
+            (default: decided from the boxes and printed; refused where they do not decide it).
         class_names: Of --format mmdetection3d: the model's classes in the order of their numbers, where its files do
             not name them.
         scoring: How the boxes are scored; without a label every class is, each for itself, the most annotated one

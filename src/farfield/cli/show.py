@@ -44,10 +44,10 @@ def run(
         camera: Draw the picture of this camera instead, with the boxes projected into it, and the boxes that were
             annotated in it dotted.
         detector: A bundled detector's name, a run's folder, a weights file or an .onnx file, whose boxes are drawn too.
-        cloud: Which cloud; the first, or the first that suits the detector, unless given.
+        cloud: Which cloud (default: the first, or the first that suits the detector).
         boxes: Which of the detector's boxes are drawn; without --score-threshold those of score 0.3 or more.
         reading: How the files are read.
-        out: The PNG; runs/show-DATA-NUMBER.png unless given.
+        out: The PNG (default: runs/show-DATA-NUMBER.png).
     """
     from farfield.api import load_detector
     from farfield.errors import ConfigError

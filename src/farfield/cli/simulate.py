@@ -30,9 +30,9 @@ def run(
       farfield simulate cirrus-sim-val-v2 data/val
       farfield simulate cirrus-sim data/raw --recording --frames 600 --sequences 1
 
-    Run again, it goes on where it stopped: a frame's files appear whole or not at all. The bytes do not depend on the
-    number of workers. A frozen preset (cirrus-sim-val-v2) is compared with its recorded checksums; exit status 1 if a
-    frame differs.
+    An interrupted run resumes: a frame's files appear whole or not at all. Results do not depend on the number of
+    workers. A frozen preset (cirrus-sim-val-v2) is compared with its recorded checksums; exit status 1 if a frame
+    differs.
 
     Args:
         preset: cirrus-sim (two scan patterns and a camera, highway and town in turn), cirrus-sim-ideal (patterns taken

@@ -41,8 +41,8 @@ def run(
 
     Args:
         path: Folder of the data set; its format is recognised. Annotations alone are enough.
-        out: Folder to write into; runs/stats-NAME unless given.
-        name: What to call the data set; its folder's name unless given.
+        out: Folder to write into (default: runs/stats-NAME).
+        name: What to call the data set (default: its folder's name).
         sweeps: Number of frames whose clouds and radar are read, spread evenly; 0 reads annotations alone.
         where: Only frames and objects that fulfil a condition, such as 'range_m > 100 and weather == "sleet"'; columns
             as of farfield evaluate, points only where the labels count them.

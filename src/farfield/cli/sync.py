@@ -33,11 +33,11 @@ def run(
 
     Args:
         path: Folder of the recording, or of several.
-        to: The stream to which the others are matched; the slowest that shares time with most unless given.
-        tolerance_ms: Largest distance; half the period of the faster stream of each pair unless given.
+        to: The stream to which the others are matched (default: the slowest that shares time with most).
+        tolerance_ms: Largest distance (default: half the period of the faster stream of each pair).
         unit: Unit of plain numbers that do not say theirs.
         stamp: Stamps of a bag's messages: their headers', or log, when they were recorded.
-        out: Folder to write into; runs/sync-NAME unless given.
+        out: Folder to write into (default: runs/sync-NAME).
         dry_run: Say what would be written, and write nothing.
     """
     from farfield.errors import ConfigError

@@ -43,26 +43,26 @@ def run(
       farfield track predictions.csv --step-s 0.25 --smooth --out tracks.csv
       farfield track predictions.csv -o max_age_s=1.5 -o min_hits=2 --join-s 5 --out tracks.csv
 
-    With --data, stamps and poses are those of the data set's drives, and tracks are kept in the world. Files of boxes
-    have neither: without it steps are constant and tracks are kept in the sensor's own coordinates.
-    `farfield score tracks/ label/ --protocol tracking --format kitti-tracking --label Car` scores them.
+    With --data, stamps and poses come from the data set's drives, and tracks are kept in world coordinates. Without it
+    the time step is constant and tracks are kept in the sensor's own coordinates. `farfield score tracks/ label/
+    --protocol tracking --format kitti-tracking --label Car` scores them.
 
     Args:
         detections: File, or folder of files, of scored boxes; a folder's files are sequences.
         out: The file, for kitti-tracking the folder, to write.
         data: Data set that the detections were made on; frames are matched by sequence and frame.
-        poses: Poses beside the data, as `farfield odometry` writes them; those of the data unless given.
+        poses: Poses beside the data, as `farfield odometry` writes them (default: those of the data).
         reading: How the data set's files are read.
         format: Format of the detections; nuscenes is its result JSON, in the order of its samples' names.
-        to: Format of the tracks: that of the detections unless given; nuscenes is its tracking JSON.
+        to: Format of the tracks; nuscenes is its tracking JSON (default: that of the detections).
         preset: ab3dmot (as its code of 2022), ab3dmot-paper, centerpoint, simpletrack, or our own: default,
             offline, which --smooth takes instead of it, unposed, for a moving car whose poses are not known, and
             annotated, for boxes that people drew.
-        step_s: Seconds between frames where there are no stamps; 0.1 unless given.
+        step_s: Seconds between frames where there are no stamps (default: 0.1).
         least_score: Detections of a lower score are left out.
         least_track_score: Tracks of a lower mean score are left out.
-        doppler_span_m_s: Span modulo which radial velocities (doppler_m_s of the CSV) are known; they are taken as
-            unambiguous unless given.
+        doppler_span_m_s: Span modulo which radial velocities (doppler_m_s of the CSV) are known (default: taken as
+            unambiguous).
         option: Change one option of the tracker (docs/tracking.md), as name=value; may be given several times.
         smooth: Look ahead too: smooth each track as a whole (Rauch-Tung-Striebel) and fill its gaps.
         join_s: Look ahead too: join tracks of one size and class, at most so long apart, that go on as they moved;

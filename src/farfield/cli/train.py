@@ -31,11 +31,10 @@ def run(
       torchrun --nproc-per-node 2 -m farfield.cli train pointpillars-cirrus-sim
 
     The run's folder OUT/NAME holds experiment.yaml (every setting), log.jsonl, checkpoint.pt and, at the end,
-    weights.safetensors and course.html, a page of its curves and of what they warn of; `farfield report OUT/NAME`
-    writes the page of a run that still goes on. A killed run resumes from its checkpoint to the same weights, and
-    Ctrl-C writes one. More training.steps prolong a run; training.validation scores it on held-out frames and keeps the
-    best weights. Several processes, torchrun's or those of training.devices, share each batch and follow the course of
-    one.
+    weights.safetensors and course.html, a page of curves and warnings; `farfield report OUT/NAME` writes the page of a
+    run in progress. A killed run resumes from its checkpoint to the same weights; Ctrl-C writes a checkpoint. A larger
+    training.steps prolongs a finished run; training.validation scores it on held-out frames and keeps the best weights.
+    Several processes, torchrun's or those of training.devices, share each batch and train as one would.
 
     Args:
         experiment: A shipped experiment's name, as `farfield experiments` lists them, or a YAML file.

@@ -47,7 +47,7 @@ def run(
         detector: Bundled names, runs' folders, weights or .onnx files, comma-separated: they run on the frames shown.
         predictions: Files of detections or tracks to show; sequence and frame pair them with the data.
         format: Format of the predictions.
-        protocol: By which predictions are matched with the truth; the data set's own unless given.
+        protocol: By which predictions are matched with the truth (default: the data set's own).
         threshold: Least score of a detector's boxes.
         frame: Frame to begin with: its number, or sequence/frame; with --html several, comma-separated.
         where: Only frames and annotated objects that fulfil a condition, such as 'range_m > 100 and label ==
@@ -55,7 +55,7 @@ def run(
         reading: How the data set's files are read.
         reference: Coordinates in which to show: K-Radar's os2-64 (as it is) or radar.
         html: Write the frames into one HTML file that opens from disk, and end; at most 20 frames.
-        port: Port to listen on; the first free one from 8877 on unless given.
+        port: Port to listen on (default: the first free one from 8877 on).
         browser: Open the browser; never over SSH.
     """
     from farfield.errors import ConfigError

@@ -31,8 +31,8 @@ def run(
       farfield worst runs/eval --data data/kradar --out worst.html
       farfield worst runs/eval --by weather,points --top 30
 
-    A missed object loses 1, a false box its score, an object that an unsure box finds one less its score; a frame loses
-    the sum. With --data the page shows each object from above, from the side and in the camera; its links open the
+    The loss is 1 for a missed object, the score for a false box, 1 - score for a detected object; a frame's loss is
+    their sum. With --data the page shows each object from above, from the side and in the camera; its links open the
     frame where `farfield view` shows the data.
 
     Args:

@@ -24,7 +24,7 @@ def draw_mesh(depth_m: Float[np.ndarray, "h w"], *, max_edge_px: float, compiled
     Args:
         depth_m: Sparse depths, inf for none, shape (h, w).
         max_edge_px: Triangles with a longer edge stay empty, and so does what lies outside all of them.
-        compiled: Whether numba fills them; where it is installed unless given.
+        compiled: Whether numba fills them (default: where it is installed).
 
     Returns:
         Depths, and as doubt the depths' spread over the triangle's corners, times 1.5 less the share of the nearest

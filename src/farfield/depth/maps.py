@@ -87,7 +87,7 @@ def depth_map(
         method: How the gaps are filled.
         ring: The ring of each point, if known.
         max_gap_deg: Neighbours that lie further apart are not joined.
-        compiled: Whether numba draws; where it is installed unless given.
+        compiled: Whether numba draws (default: where it is installed).
 
     Raises:
         ConfigError: If the camera has no size, the method is unknown, or it is rings and there are none.
@@ -238,8 +238,8 @@ def frame_depth(
 
     Args:
         frame: The frame.
-        cloud: Name of the cloud; the first of a LiDAR unless given.
-        camera: Name of the camera; the first calibrated one unless given.
+        cloud: Name of the cloud (default: the first of a LiDAR).
+        camera: Name of the camera (default: the first calibrated one).
         method: As of :func:`depth_map`.
         max_gap_deg: As there.
 

@@ -77,7 +77,7 @@ def blend_raster(raster: DepthRaster, *, compiled: bool | None = None) -> DepthR
 
     Args:
         raster: What was drawn, depth inf where nothing was.
-        compiled: Whether numba does it; where it is installed unless given.
+        compiled: Whether numba does it (default: where it is installed).
 
     Returns:
         Depth and doubt, inf where nothing is near, shape (h, w).

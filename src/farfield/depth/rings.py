@@ -107,7 +107,7 @@ def sample_rings(
         camera: The camera.
         step_px: Pixels between columns.
         max_gap_rad: Wider gaps between neighbours of a ring stay empty: nothing came back from there.
-        compiled: Whether numba does it; where it is installed unless given.
+        compiled: Whether numba does it (default: where it is installed).
     """
     # 1. Points ring by ring, from the lowest ring to the highest, by azimuth.
     points = points_m.astype(np.float64)
@@ -207,7 +207,7 @@ def draw_surface(
         camera: The camera.
         step_rad: Angle between the interpolated points.
         max_gap_rad: Rings further apart than this are not joined.
-        compiled: Whether numba does it; where it is installed unless given.
+        compiled: Whether numba does it (default: where it is installed).
     """
     rows = steps_between(grid, step_rad, max_gap_rad)
     raster = DepthRaster(

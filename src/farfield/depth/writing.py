@@ -26,8 +26,8 @@ class DepthSettings:
     """What decides the maps besides the data.
 
     Args:
-        cloud: Name of the cloud; the first of a LiDAR unless given.
-        camera: Name of the camera; the first calibrated one unless given.
+        cloud: Name of the cloud (default: the first of a LiDAR).
+        camera: Name of the camera (default: the first calibrated one).
         method: As of :func:`~farfield.depth.maps.depth_map`.
         scale: Steps a metre: 256 is KITTI's and ends at 255.996 m, 128 ends at 511.992 m; auto takes 256 for all frames
             unless a point before the camera of any lies beyond its end, and then 128 for all.

@@ -149,7 +149,7 @@ def chosen_precision(network: Any = None, flags: Mapping[str, bool] | None = Non
 
     Args:
         network: The network, or its class: its ``work`` says what is timed where that is needed.
-        flags: As :func:`flags_of_cpu` gives them; this processor's unless given.
+        flags: As :func:`flags_of_cpu` gives them (default: this processor's).
 
     >>> chosen_precision(flags={"avx512": True, "avx512_bf16": True})
     ('bf16', 'the processor multiplies bfloat16 (AVX-512 BF16)')

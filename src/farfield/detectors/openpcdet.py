@@ -117,7 +117,7 @@ def import_openpcdet(
 
     Args:
         path: The checkpoint, ``.pth``.
-        kind: Its detector; recognised by its keys unless given.
+        kind: Its detector (default: recognised by its keys).
         settings: Settings of the detector that replace those of OpenPCDet's KITTI file, such as ``grid``, ``anchors``
             (in the order of its ``CLASS_NAMES``) and ``max_points``.
         allow_unknown: Report keys that the detector has no place for instead of failing.

@@ -97,10 +97,10 @@ class Detector(TrainedDetector):
             reason that ``why_precision`` gives.
         cloud: Which of a frame's clouds to read, for a network of several inputs one for each; by default one that it
             learnt from, where a frame has none of them its first that fits.
-        score_threshold: Boxes below are not given; this and the following are the weights' own unless given.
+        score_threshold: Boxes below are not given (default: this and the following are the weights' own).
         nms_iou: Boxes that overlap a better one by more are not given.
         max_boxes: Boxes given in a frame.
-        classes: Classes to give, or for each of them the name to give it; all unless given. Boxes of the others still
+        classes: Classes to give, or for each of them the name to give it (default: all). Boxes of the others still
             suppress those that they overlap.
         calibrated: Whether scores are calibrated, where the weights hold how.
         name: What to call it.

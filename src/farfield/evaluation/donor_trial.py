@@ -95,7 +95,7 @@ class DonorTrial:
         """Thresholds, falling, with the recall of cars of five points and more and the false vehicles a sweep.
 
         Args:
-            sweeps: Rows of sweeps that count, as often as they are named; all unless given.
+            sweeps: Rows of sweeps that count, as often as they are named (default: all).
         """
         weight = np.bincount(np.arange(self.sweeps) if sweeps is None else sweeps, minlength=self.sweeps)
         cars = [car for car in self.cars if car.points >= LEAST_POINTS]

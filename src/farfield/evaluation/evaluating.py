@@ -37,7 +37,7 @@ class EvaluationOptions:
         settings: Settings of the protocol.
         title: Title of the report.
         provenance: What is known of the data beyond their fingerprint.
-        bulk: Who detects; this process with all its threads unless given.
+        bulk: Who detects (default: this process with all its threads).
         journals: Folder that keeps the detections, so that an interrupted evaluation goes on and one with other
             settings of the protocol detects nothing anew; None keeps nothing.
         overwrite: Detect anew what is kept.

@@ -51,7 +51,7 @@ def try_on_donors(
         data: Annotated sweeps in the coordinates in which the detector sees them.
         model: How their sensor detects and measures.
         in_field: Which boxes of a frame lie where somebody annotated.
-        cloud: Name of the cloud that it reads; the first unless given.
+        cloud: Name of the cloud that it reads (default: the first).
         seed: Draws cars and places: the same for every detector.
         progress: Called with the number of each sweep.
 
@@ -118,7 +118,7 @@ def annotated_cars(
         data: Annotated sweeps, real or simulated, in the sensor's axes.
         span_m: Ground distance of a car, at least and at most.
         in_field: Which boxes of a frame lie where somebody annotated.
-        cloud: Name of the cloud; the first unless given.
+        cloud: Name of the cloud (default: the first).
 
     Raises:
         DatasetError: If a sweep is not annotated.
@@ -286,7 +286,7 @@ def in_sensor_axes(frame: Frame, cloud: str | None = None) -> Frame:
 
     Args:
         frame: The frame.
-        cloud: Name of the cloud; the first unless given.
+        cloud: Name of the cloud (default: the first).
     """
     name = cloud or next(iter(frame.clouds))
     alone = replace(frame, clouds={name: frame.cloud(name)})

@@ -111,7 +111,7 @@ def annotated_objects(
         annotations: Annotated boxes by (sequence, frame); boxes without a known point count are left out.
         labels: Classes that count; None for all.
         score_min: Predictions below it do not find anything.
-        finding: When a box counts as found; within 2 m unless given.
+        finding: When a box counts as found (default: within 2 m).
         kind: Of which sensor the points are.
 
     Returns:

@@ -237,7 +237,7 @@ def stream(
             made beside the network of this one.
         source: A data set or bag, or its path; with ``idle_s`` a folder of cloud files that fills; or an iterable of
             frames or clouds, such as a generator that waits for a sensor.
-        rate_hz: Take sweeps at this rate, as a sensor gives them; as they come unless given.
+        rate_hz: Take sweeps at this rate, as a sensor gives them (default: as they come).
         drop: ``"oldest"``, ``"newest"`` or ``"none"``: which sweep is dropped where ``waiting`` others wait; unless
             given none, but with ``rate_hz`` the oldest.
         waiting: Sweeps that may wait to be prepared.

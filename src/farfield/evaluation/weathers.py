@@ -46,7 +46,7 @@ def evaluate_weathers(
         title: Title of the report.
         name: What the drives are called together.
         journals: Folder that keeps what was found, so that an interrupted evaluation goes on; None keeps nothing.
-        bulk: Who detects; this process with all its threads unless given.
+        bulk: Who detects (default: this process with all its threads).
 
     Returns:
         Results by cloud, and of each weather the frame with the most vehicles to find, the same moment in all.

@@ -26,7 +26,7 @@ def course_of(folder: Path, out: Path | None = None, *, title: str = "") -> Path
     Args:
         folder: The run's folder, finished or not.
         out: The page; ``course.html`` in the folder unless given.
-        title: Its title; the run's name unless given.
+        title: Its title (default: the run's name).
 
     Raises:
         ConfigError: If its experiment is not to be read.

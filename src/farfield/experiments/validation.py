@@ -26,7 +26,7 @@ class Validation:
 
     Args:
         frames: Held-out, annotated frames.
-        cloud: Which of their clouds the detector reads; the first that suits unless given.
+        cloud: Which of their clouds the detector reads (default: the first that suits).
         aliases: Classes of the annotation renamed, as in training.
         precision: Number type in which it detects.
     """

@@ -95,8 +95,8 @@ def draw_power(
     Args:
         axes: Where to draw.
         power_db: The power in dB; NaN where there is none.
-        u_m: Centres of its columns on the horizontal axis, metres; x from above unless given.
-        v_m: Centres of its rows on the vertical axis; y from above unless given.
+        u_m: Centres of its columns on the horizontal axis, metres (default: x from above).
+        v_m: Centres of its rows on the vertical axis (default: y from above).
         aspect: Whether a metre is as long on both axes.
         ground: Colour where there is no power.
     """

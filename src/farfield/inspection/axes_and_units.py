@@ -76,7 +76,7 @@ def first_doubts(data: Dataset, *, cloud: str | None = None, frames: int = _FRAM
 
     Args:
         data: The data set.
-        cloud: Name of the cloud; the first of a LiDAR unless given.
+        cloud: Name of the cloud (default: the first of a LiDAR).
         frames: How many to read.
     """
     points, boxes = [], []

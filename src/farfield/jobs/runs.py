@@ -304,7 +304,7 @@ def fitting(workers: int, each_bytes: int, *, exactly: bool, available: int | No
         workers: How many are wanted.
         each_bytes: What one takes at most; 0 where that is not known.
         exactly: Whether the user asked for so many: then all must fit.
-        available: Bytes that are free; measured unless given.
+        available: Bytes that are free (default: measured).
 
     Raises:
         BulkError: If not even one fits, or fewer than were asked for.

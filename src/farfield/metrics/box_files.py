@@ -333,13 +333,13 @@ def _agreed(predicted: BoxSide, annotated: BoxSide, notes: list[str]) -> str:
     if predicted_in and annotated_in and predicted_in != annotated_in:
         if "camera" in predicted_in or "camera" in annotated_in:
             raise ConfigError(
-                f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: their "
-                "boxes do not lie in one space. Name the data set that was predicted on in the place of the labels "
+                f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: they "
+                "cannot be compared. Name the data set that was predicted on in the place of the labels "
                 "(farfield score PREDICTIONS DATASET --format kitti), or predict on the data set of the labels"
             )
         raise ConfigError(
-            f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: their boxes "
-            f"do not lie in one space. Write one anew (farfield predict ... --reference {annotated_in}, or farfield "
+            f"predictions stand in the coordinates of {predicted_in}, labels in those of {annotated_in}: they "
+            f"cannot be compared. Write one again (farfield predict ... --reference {annotated_in}, or farfield "
             f"convert DATA --to boxes-csv --reference {predicted_in}), or name the data set in the place of the "
             "labels: it is seen in the predictions' coordinates"
         )

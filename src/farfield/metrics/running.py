@@ -92,7 +92,7 @@ class RunningMetric:
             predicted: Scored boxes: :class:`Boxes`, an array (n, 8), a dictionary of boxes, scores and labels, a table;
                 see :func:`farfield.geometry.boxes_of.boxes_of`.
             annotated: Annotated boxes likewise, without scores; also an :class:`Annotation` or a :class:`Frame`.
-            frames: Name of the frame, or names; numbered unless given.
+            frames: Name of the frame, or names (default: numbered).
             sequences: Name of its sequence, or names; needed for tracks of several drives.
             conditions: Weather, road and time by name, or a list of such.
 

@@ -237,12 +237,12 @@ def _scores(boxes: Boxes) -> Iterator[str]:
         shown = ", ".join(f"{value:g}" for value in values)
         yield (
             f"the {count_of(len(boxes), 'prediction has', 'predictions have')} {len(values)} "
-            f"scores ({shown}): a curve has so few points; rounded?"
+            f"scores ({shown}): the curve has only that many points; are the scores rounded?"
         )
     if len(boxes) >= 10 and low == high:
         yield (
             f"all {count_of(len(boxes), 'prediction has', 'predictions have')} one "
-            f"score, {low:g}: without an order a curve has a single point"
+            f"score, {low:g}: they cannot be ranked, and the curve has a single point"
         )
 
 

@@ -52,7 +52,7 @@ class SweepSettings:
     """Which points of a frame, and when they were measured.
 
     Args:
-        cloud: Name of the cloud; the one in whose coordinates the frame stands, else the first, unless given.
+        cloud: Name of the cloud (default: the one in whose coordinates the frame stands, else the first).
         deskew: Move points to the sweep's moment, where their times are known.
         turning: How the scanner turns, seen from above, where points have no times: the beam looks along x at the
             sweep's moment.
@@ -438,7 +438,7 @@ def odometry(
 ) -> list[OdometryTrack]:
     """Find the poses of a data set's sweeps from the sweeps alone, and write them beside it.
 
-    Interrupted, it goes on where it stopped, within a drive too, to the same bytes.
+    Interrupted, it resumes where it stopped, within a drive too, to the same bytes.
 
     Args:
         data: The data set; its drives need no times, but are drive_odometry better with them.

@@ -62,7 +62,7 @@ def table_lines(sides: Sequence[ComparedDataset], roadsides: ToldApartClouds | N
 
     Args:
         sides: One data set or two.
-        roadsides: How well two are told apart; computed unless given.
+        roadsides: How well two are told apart (default: computed).
     """
     roadsides = told_apart(sides) if roadsides is None else roadsides
     simulated_text = {True: "yes", False: "no", None: "not said"}
@@ -322,7 +322,7 @@ def write_comparison(
         folder: Made if absent.
         sides: The two data sets.
         title: Title of the page.
-        roadsides: How well the two are told apart; computed unless given.
+        roadsides: How well the two are told apart (default: computed).
 
     Returns:
         The page.

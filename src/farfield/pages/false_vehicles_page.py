@@ -29,7 +29,7 @@ def write_false_vehicles(
         trial: What was detected.
         data: The sweeps of the trial.
         detector: The detector's name.
-        cloud: Name of the cloud that was read; the first unless given.
+        cloud: Name of the cloud that was read (default: the first).
 
     Returns:
         The page.

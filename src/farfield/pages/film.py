@@ -390,7 +390,7 @@ def make_film(
     Args:
         path: .mp4, .mov, .m4v or .mkv (extra ``video``), .gif or .webp.
         data: The data set.
-        drive: Name of the drive; the first one unless given.
+        drive: Name of the drive (default: the first one).
         predictions: Boxes to show beside the annotated ones; with identities they have trails.
         settings: What it shows.
         bulk: How the pictures are made.

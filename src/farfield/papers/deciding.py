@@ -278,7 +278,7 @@ def _power(published: float | None, decision: Decision | None) -> float | None:
 
 
 def verdict_of(claim: Claim, comparisons: Sequence[DecidedComparison]) -> str:
-    """The verdict on a claim: it holds where all its comparisons do, and holds not where one does not.
+    """The verdict on a claim: it holds where all its comparisons do, and fails where one fails.
 
     Args:
         claim: The claim.

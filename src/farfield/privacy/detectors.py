@@ -165,7 +165,7 @@ class PlateDetector:
 
     Args:
         least_score: Boxes below it are left out.
-        weights: The network's; those of the package unless given.
+        weights: The network's (default: those of the package).
 
     Raises:
         MissingExtraError: If torch is not installed.

@@ -49,10 +49,10 @@ def simulate_frame(
 
     Args:
         preset: A preset or its name.
-        seed: Seed of the whole data set; the preset's own unless given.
+        seed: Seed of the whole data set (default: the preset's own).
         sequence: Number of the sequence; any number gives another world.
         index: Number of the frame within it.
-        sensors: Which of the rig's sensors the frame has; the preset's own unless given.
+        sensors: Which of the rig's sensors the frame has (default: the preset's own).
         changes: Settings of the preset to change, by name, such as ``weather="fog"``.
 
     Returns:
@@ -96,11 +96,11 @@ def simulate_sequence(
 
     Args:
         preset: A preset or its name.
-        seed: Seed of the whole data set; the preset's own unless given.
+        seed: Seed of the whole data set (default: the preset's own).
         sequence: Number of the sequence.
-        frames: How many frames; the preset's own count unless given.
+        frames: How many frames (default: the preset's own count).
         start: Number of the first frame.
-        sensors: Which of the rig's sensors the frames have; the preset's own unless given.
+        sensors: Which of the rig's sensors the frames have (default: the preset's own).
         changes: Settings of the preset to change, by name, such as ``stride_s=1.0`` or ``weather="rain"``.
 
     Yields:

@@ -16,9 +16,9 @@ class CalibrationSettings:
 
     Args:
         kind: What against what.
-        sequence: Which one; the first unless given.
+        sequence: Which one (default: the first).
         frames: How many frames serve.
-        camera: Name of the image; the first calibrated one unless given.
+        camera: Name of the image (default: the first calibrated one).
         radar: Start of x and y in metres, yaw in radians, and radar frames; the data set's own where None.
         beginning: What a camera without a calibration begins from.
         pairs: Picked pairs to begin with.
@@ -49,14 +49,14 @@ class StudioSettings:
         detectors: Detectors to run on what is shown: bundled names, runs' folders or weights files.
         threshold: Least score of a box that a detector gives.
         first: Frame to show first: its number, or sequence/frame.
-        classes: ``name:length,width,height`` of the classes to offer; the data set's own unless given.
+        classes: ``name:length,width,height`` of the classes to offer (default: the data set's own).
         extent: What the boxes hold, whole bodies or visible parts; None where it is still to be declared.
-        edits: Folder of the journal; beside the labels unless given.
-        out: Folder into which labels are saved; beside the journal unless given.
-        to: Format of the saved labels; the data set's own unless given.
+        edits: Folder of the journal (default: beside the labels).
+        out: Folder into which labels are saved (default: beside the journal).
+        to: Format of the saved labels (default: the data set's own).
         write: Whether saves go into the data set's own label files.
         save_at_exit: Whether labels are also written when the studio ends, wherever saves go.
-        notes: Folder for bookmarks; the user's data folder unless given.
+        notes: Folder for bookmarks (default: the user's data folder).
         calibration: Of a calibration page.
     """
 

@@ -72,7 +72,7 @@ class Training:
         folder: Receives checkpoint.pt, log.jsonl and at the end weights.safetensors.
         provenance: Travels in every checkpoint and in the weights.
         step: Steps done.
-        fabric: The processes to train with, launched; :meth:`run` launches those of ``config`` unless given.
+        fabric: The processes to train with, launched (default: :meth:`run` launches those of ``config``).
         held: Held-out samples of its streams, as they are; all of them are looked at.
         score: Scores a network on held-out frames, from 0 to 1: every ``config.validation.every_steps`` steps it scores
             the averaged weights, and the best are stored as best.safetensors.

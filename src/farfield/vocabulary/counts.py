@@ -9,7 +9,7 @@ def count_of(count: SupportsIndex, one: str, more: str = "", *, spec: str = "") 
     Args:
         count: How many; numpy's whole numbers too.
         one: The word for a single one, with the verb if one follows: ``frame is``.
-        more: The words for none or several; ``one`` with s or es unless given.
+        more: The words for none or several (default: ``one`` with s or es).
         spec: How the number is written, such as ``,``.
     """
     several = more or one + ("es" if one.endswith(("x", "ch", "s")) else "s")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class FormFacts:
-    """What a user asks of a form of files.
+    """What a user wants to know of a file format.
 
     Args:
         title: What people call it.

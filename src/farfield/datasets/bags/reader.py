@@ -193,14 +193,14 @@ class Bags(Dataset):
 
     Args:
         root: A bag's folder, or a folder of bags or of lone ``.mcap``, ``.db3`` and ``.bag`` files.
-        cloud: Topic of the reference cloud; the lidar with the most messages unless given, which is then said.
+        cloud: Topic of the reference cloud (default: the lidar with the most messages), which is then said.
         stamp: ``"header"``, the sensors' own stamps, or ``"log"``, when messages were recorded.
         tolerance_ms: Largest distance of what comes with a frame.
         intensity_scale: Value that stands for full reflectance; None decides by some clouds of each topic.
         intensity_max: The old name of intensity_scale.
         point_times: Unit of the points' times: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to leave the column as it is;
             ``auto`` decides by the sweeps' period.
-        radars: Topics of radars, ``("none",)`` for none; topics' names and columns decide unless given.
+        radars: Topics of radars, ``("none",)`` for none (default: topics' names and columns decide).
 
     Raises:
         DatasetError: If there is no bag with clouds.

@@ -14,6 +14,6 @@ FORMAT = Format(
         opens="farfield doctor TJ4DRadSet_4DRadar",
         source="https://github.com/TJRadarLab/TJ4DRadSet",
         download="the authors' sample of 41 frames, in their repository",
-        licence="non-commercial research; the full set asks for an agreement",
+        licence="non-commercial research; the full set requires a signed agreement",
     ),
 )

@@ -1,7 +1,7 @@
 """K-Radar's downloads to a radar store: archive by archive and sequence by sequence, without unpacking all of them.
 
 A frame's radar file is unpacked, converted, and deleted once its part of the store is verified and stands in the
-journal; killed at any moment, the command goes on where it stopped, and unpacks nothing again. Annotations,
+journal; killed at any moment, the command resumes where it stopped, and unpacks nothing again. Annotations,
 calibrations and the weather are unpacked into the store, which then opens as K-Radar by itself. Sources are only read.
 """
 

@@ -1,7 +1,7 @@
 """Radar tensors made light: every frame's cells of a region, a few hundred kilobytes instead of hundreds of megabytes.
 
 The store stands in K-Radar's layout (``radar_cells/<sequence>/cells_00033.h5``, ``rdr_polar_3d/...``), so that
-``KRadar(data, roots=[store])`` reads it. A conversion that was broken off goes on where it stopped, by the journal.
+``KRadar(data, roots=[store])`` reads it. A conversion that was broken off resumes where it stopped, by the journal.
 """
 
 import json

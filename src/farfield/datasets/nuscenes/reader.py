@@ -57,8 +57,8 @@ class SchemaDataset(Dataset):
         sweeps: Files of each LiDAR and radar in a cloud: the key frame's and those before it by ``prev``.
         size_order: ``"wlh"`` as the schema says, or ``"lwh"`` of data sets that store the length first.
         axes: ``"car"``, or ``"world"``: the same origin, axes as of the map, as nuScenes' scores measure.
-        intensity_scale: Value that stands for full reflectance in a LiDAR's PCD files; 1, 255 or 65535 by some of them
-            unless given.
+        intensity_scale: Value that stands for full reflectance in a LiDAR's PCD files (default: 1, 255 or 65535 by some
+            of them).
         whole_scenes: Whether scenes are left out of which files lack, key frames or sweeps that are asked for, as where
             some of the archives are unpacked. A sensor without any folder does not count. Looks for every file.
 

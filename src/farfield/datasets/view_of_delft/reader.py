@@ -98,7 +98,7 @@ class ViewOfDelft(Dataset):
             one.
         nominal_times: Give frames the times that their numbers have at the radar's nominal :data:`RADAR_RATE_HZ`, since
             the files give none: good enough to stack sweeps, which need times.
-        intensity_scale: Value that stands for full reflectance of the lidar; the published clouds' own unless given.
+        intensity_scale: Value that stands for full reflectance of the lidar (default: the published clouds' own).
 
     Raises:
         DatasetError: If there is no cloud.

@@ -71,7 +71,7 @@ def export(
         detector: On the CPU, in fp32; its thresholds become those of the file.
         path: Target, ``.onnx``.
         licence: Under which the weights may be used.
-        clouds: On which file and network are compared; five made ones unless given.
+        clouds: On which file and network are compared (default: five made ones).
 
     Raises:
         ConfigError: If the detector is not exported, or not on the CPU in fp32.

@@ -55,7 +55,7 @@ class OnnxDetector(TrainedDetector):
         device: ``None``, ``"auto"`` or ``"cpu"``.
         precision: ``"auto"`` or ``"fp32"``.
         cloud: Which of a frame's clouds to read.
-        score_threshold: Boxes below are not given; this and the following are the file's own unless given.
+        score_threshold: Boxes below are not given (default: this and the following are the file's own).
         nms_iou: Boxes that overlap a better one by more are not given.
         max_boxes: Boxes given in a frame.
         classes: Classes to give, or for each of them the name to give it.

@@ -116,7 +116,7 @@ def adapt(
         learn_from: Labels of a few of the user's sweeps, which teach: a data set with annotated frames, the sweeps' own
             among them, or its folder; or a table of boxes or a folder of ``FRAME.json`` of frames of ``data``. All
             other sweeps teach by pseudo boxes.
-        bulk: Who detects; this process unless given.
+        bulk: Who detects (default: this process).
         report: Is informed of the course.
         overwrite: Begin anew; simulated source frames stay.
         **choices: Fields of :class:`~farfield.experiments.adapting.options.AdaptationOptions`.

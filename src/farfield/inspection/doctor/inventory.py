@@ -341,7 +341,9 @@ def _offset_findings(name: str, step: StampOffset) -> Iterator[Finding]:
             f"{count_of(step.frames, 'frame')} a neighbour's stamp is nearer; "
             f"typically {step.median_ms:+.1f} ms from its frame"
         )
-        yield Finding(severity="warn", topic="stamps", what=text, fix=f"It was not matched by nearness. {sync}")
+        yield Finding(
+            severity="warn", topic="stamps", what=text, fix=f"Match each frame with the nearest stamp. {sync}"
+        )
     if step.period_ms and step.wander_ms > 0.25 * step.period_ms:
         text = f"{name} drifts: its distance from the frames changes by {step.wander_ms:.1f} ms within a drive"
         fix = f"Their clocks run apart, or one of them runs freely. {sync}"

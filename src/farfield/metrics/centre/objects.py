@@ -60,7 +60,7 @@ def object_intervals(
         settings: The options of the score.
         scenes: The scene of each frame, to draw scenes first and objects within each, as
             :func:`object_differences` does; unless given objects alone are drawn.
-        bootstrap: How to draw; that of the settings unless given.
+        bootstrap: How to draw (default: that of the settings).
 
     Raises:
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.
@@ -123,8 +123,8 @@ def object_differences(
         annotations: Annotated boxes of every frame that counts, objects told by their ``track_id`` as in
             :func:`object_intervals`.
         settings: The options of the score.
-        scenes: The scene of each frame; its sequence unless given.
-        bootstrap: How to draw; that of the settings unless given.
+        scenes: The scene of each frame (default: its sequence).
+        bootstrap: How to draw (default: that of the settings).
 
     Raises:
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.

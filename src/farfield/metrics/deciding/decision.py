@@ -97,7 +97,7 @@ class Decision:
 def decide(difference: Difference, hypothesis: Hypothesis | None = None, *, small: float = SMALL) -> Decision:
     """Decide a claim on a difference.
 
-    It holds where the whole interval lies within the claimed bounds, holds not where it lies wholly outside them, and
+    It holds where the whole interval lies within the claimed bounds, fails where it lies wholly outside them, and
     is undecided else. One seed or one sequence decides nothing.
 
     Args:

@@ -127,7 +127,7 @@ class TransferScoring(GridScoring):
 
 @dataclass(frozen=True, kw_only=True)
 class TransferExperiment:
-    """The table of transfer in a folder; called again it goes on where it stopped.
+    """The table of transfer in a folder; called again it resumes where it stopped.
 
     Args:
         table: The table.

@@ -49,7 +49,7 @@ class Surface:
         backscatter: Share of the diffuse reflectance that a rough surface sends straight back at grazing incidence
             (the sin^2 term of Oren and Nayar, 1994).
         gloss: Extra return at normal incidence, falling off as cos^20.
-        near_infrared: Median diffuse reflectance from 800 to 1000 nm; the same as at 1550 nm unless given.
+        near_infrared: Median diffuse reflectance from 800 to 1000 nm (default: the same as at 1550 nm).
     """
 
     reflectance: float

@@ -68,8 +68,8 @@ def sweep(
         window: The scene around the reference time; its knots must span the scan's times, or be one.
         ego_T_sensor: Where the sensor is mounted.
         rng: Draws glass, detection, noise and what the weather scatters.
-        weather: What is in the air and on the ground; clear and dry unless given.
-        window_seed: What draws the dirt and ice on this sensor's window in this sequence; clean unless given.
+        weather: What is in the air and on the ground (default: clear and dry).
+        window_seed: What draws the dirt and ice on this sensor's window in this sequence (default: clean).
     """
     surface_rng, air_rng = rng.spawn(2)
     # cast every ray; some shots pass through glass

@@ -25,15 +25,15 @@ class RecordingOptions:
     """How a preset is written: the flags of ``farfield simulate`` and the keywords of :func:`farfield.simulate`.
 
     Args:
-        frames: Number of frames in all, spread evenly over the sequences; the preset's own unless given.
-        sequences: Number of sequences, each another road with other traffic; the preset's own unless given.
+        frames: Number of frames in all, spread evenly over the sequences (default: the preset's own).
+        sequences: Number of sequences, each another road with other traffic (default: the preset's own).
         sensors: What to write, separated by commas. Cirrus: gaussian, uniform, camera. K-Radar: os2-64, os1-128,
             cam-front, cam-left, cam-right, cam-rear, cells (the radar's cells in the wide region, to train on), sparse,
             polar3d, cube, tesseract (260 MB a frame). RADIATE: polar, cartesian.
         weather: Put every sequence into this weather; several with commas between take turns.
         time: Put every sequence into this time of day.
-        seed: Another seed gives another world; the preset's own unless given.
-        stride_s: Seconds between frames of a sequence, at most 1; the preset's own unless given. Not with --recording.
+        seed: Another seed gives another world (default: the preset's own).
+        stride_s: Seconds between frames of a sequence, at most 1 (default: the preset's own). Not with --recording.
         uniform_offset_ms: How much later the uniform pattern is taken, in every sequence; 0 is the ideal pair.
         traffic: On which side it keeps; the left is the mirror image of the right. The preset's own unless given. Not
             with --recording.

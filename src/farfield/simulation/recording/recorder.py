@@ -59,7 +59,7 @@ def record(
 ) -> RecordingSummary:
     """Write a simulated data set in the layout of Cirrus, K-Radar, KITTI or RADIATE.
 
-    Called again, it goes on where it stopped: a frame's files appear whole or not at all. The bytes do not depend on
+    Called again, it resumes where it stopped: a frame's files appear whole or not at all. The bytes do not depend on
     the number of workers.
 
     Args:

@@ -217,7 +217,7 @@ class BookmarkStore:
     Args:
         root: Folder of the data set.
         keys: (sequence, frame) of its frames, by which bookmarks are kept: numbers change as frames are added.
-        folder: Where they are kept; the user's data folder unless given.
+        folder: Where they are kept (default: the user's data folder).
     """
 
     def __init__(self, root: Path, keys: tuple[Key, ...], folder: Path | None = None) -> None:

@@ -67,7 +67,7 @@ def record_streams(
 ) -> RawRecorded:
     """Record the raw streams of the Cirrus car.
 
-    Called again, it goes on where it stopped: a file of a bag appears whole or not at all.
+    Called again, it resumes where it stopped: a file of a bag appears whole or not at all.
 
     Args:
         preset: A preset of the Cirrus car or its name.
