@@ -28,7 +28,12 @@ AV2_ABSENT = {"ap": 0.0, "ate": 2.0, "ase": 1.0, "aoe": np.pi, "cds": 0.0}
 """What av2 counts for a category of which nothing is annotated."""
 AV2_COLUMNS = ("tx_m", "ty_m", "tz_m", "length_m", "width_m", "height_m")
 KITTI_LABELS = ("Car", "Pedestrian", "Cyclist")
-KITTI_MEASURES = {"detection": "2d", "orientation": "aos", "detection_BEV": "bev", "detection_3D": "3d"}
+KITTI_MEASURES = {
+    **{"detection": "2d", "detection_AP": "2d", "orientation": "aos", "orientation_AOS": "aos"},
+    **{"detection_ground": "bev", "detection_BEV_AP": "bev", "detection_3d": "3d", "detection_3D_AP": "3d"},
+}
+"""Our measures by the words of the two programs."""
+MEASURES = ("2d", "aos", "bev", "3d")
 DIFFICULTIES = ("easy", "moderate", "hard")
 KITTI_CAMERA_PX = ((721.5377, 0.0, 609.5593), (0.0, 721.5377, 172.854), (0.0, 0.0, 1.0))
 
@@ -94,7 +99,7 @@ def kitti_figures(tool: Path, annotated: Path, predicted: Path, folder: Path) ->
         (target / "data" / path.name).write_bytes(path.read_bytes())
     done = subprocess.run([tool.resolve(), annotated, target], capture_output=True, text=True, cwd=folder, check=False)
     figures: Figures = {}
-    row = re.compile(r"^(car|pedestrian|cyclist)_(\w+?)_?(?:AP|AOS)\s*:\s*([\d.]+) ([\d.]+) ([\d.]+)$", re.MULTILINE)
+    row = re.compile(r"^(car|pedestrian|cyclist)_(\w+)(?: AP)?\s*: *([\d.]+) ([\d.]+) ([\d.]+)$", re.MULTILINE)
     for label, measure, *values in row.findall(done.stdout):
         if measure in KITTI_MEASURES:
             for difficulty, value in zip(DIFFICULTIES, values, strict=True):
@@ -403,12 +408,15 @@ def real_kitti(folder: Path, shared: Path) -> dict[str, Path]:
 
 
 def our_kitti(folder: Path, job: Mapping[str, Path], points: str, labels: Sequence[str] = KITTI_LABELS) -> Figures:
-    """The figures of ``farfield score`` of each class, with 11 or 40 recalls: points is ``r11`` or ``r40``."""
+    """The figures of ``farfield score`` of each class, with 11 or 40 recalls (points ``r11`` or ``r40``).
+
+    ``sampling=gaps`` leaves recalls without a threshold at 0, as KITTI's program does with fewer than 41 boxes.
+    """
     figures: Figures = {}
     for label in labels:
-        form = ("--protocol", "kitti", "--format", "kitti", "--label", label)
+        form = ("--protocol", "kitti", "--format", "kitti", "--label", label, "--options", "sampling=gaps")
         tree = score_verb(folder, job["predicted"], job["annotated"], *form)
-        for measure in KITTI_MEASURES.values():
+        for measure in MEASURES:
             for difficulty in DIFFICULTIES:
                 value = at(tree, f"ap/{measure}_{points}/{difficulty}")
                 if value is not None:
@@ -549,7 +557,7 @@ NUSCENES_SHOWN = (
     *("nds", "map", "errors/trans_err", "errors/scale_err", "errors/orient_err", "errors/vel_err", "errors/attr_err"),
 )
 AV2_SHOWN = tuple(f"AVERAGE_METRICS/{name}" for name in AV2_FIGURES)
-KITTI_SHOWN = tuple(f"{label}/{measure}/moderate" for label in KITTI_LABELS for measure in KITTI_MEASURES.values())
+KITTI_SHOWN = tuple(f"{label}/{measure}/moderate" for label in KITTI_LABELS for measure in MEASURES)
 
 
 class Peers:
