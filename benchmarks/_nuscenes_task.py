@@ -15,6 +15,30 @@ LIMITS = {"score": 1e-9, "get_boxes": 1e-9, "velocity": 1e-9, "points": 1e-4, "l
 CHANNELS = ("LIDAR_TOP", "RADAR_FRONT")
 
 
+def kit_figures(kit: Any, results: str, split: str, folder: Path) -> dict[str, float]:
+    """The devkit's figures of results, under our names.
+
+    Args:
+        kit: The devkit's tables.
+        results: The result file.
+        split: The split whose samples it holds.
+        folder: Where the devkit may write.
+    """
+    from nuscenes.eval.common.config import config_factory
+    from nuscenes.eval.detection.evaluate import DetectionEval
+
+    evaluation = DetectionEval(kit, config_factory("detection_cvpr_2019"), results, split, str(folder), verbose=False)
+    metrics = evaluation.evaluate()[0].serialize()
+    figures: dict[str, float] = {"nds": metrics["nd_score"], "map": metrics["mean_ap"]}
+    figures |= {f"errors/{name}": value for name, value in metrics["tp_errors"].items()}
+    for label, by_limit in metrics["label_aps"].items():
+        figures |= {f"ap/{label}/{float(limit)}": value for limit, value in by_limit.items()}
+        figures |= {f"ap/{label}/mean": metrics["mean_dist_aps"][label]}
+        errors = metrics["label_tp_errors"][label].items()
+        figures |= {f"class_errors/{label}/{name}": value for name, value in errors if not np.isnan(value)}
+    return figures
+
+
 def run_kit(path: Path) -> dict[str, Any]:
     """What the devkit says of a tree: the score of results, all boxes and velocities, points of a few samples.
 
@@ -22,8 +46,6 @@ def run_kit(path: Path) -> dict[str, Any]:
         path: A JSON file that names the tree, its version and the results.
     """
     from nuscenes import NuScenes
-    from nuscenes.eval.common.config import config_factory
-    from nuscenes.eval.detection.evaluate import DetectionEval
     from nuscenes.utils.data_classes import LidarPointCloud, RadarPointCloud
 
     task = json.loads(path.read_text())
@@ -34,17 +56,8 @@ def run_kit(path: Path) -> dict[str, Any]:
     out: dict[str, Any] = {"samples": [], "figures": {}, "loaded_s": loaded_s}
     if task["results"]:
         start = time.process_time()
-        config, folder = config_factory("detection_cvpr_2019"), str(path.parent / "kit")
-        evaluation = DetectionEval(kit, config, task["results"], "mini_val", folder, verbose=False)
-        metrics = evaluation.evaluate()[0].serialize()
+        out["figures"] = kit_figures(kit, task["results"], "mini_val", path.parent / "kit")
         out["score_s"] = time.process_time() - start
-        out["figures"] = {"nds": metrics["nd_score"], "map": metrics["mean_ap"]}
-        out["figures"] |= {f"errors/{name}": value for name, value in metrics["tp_errors"].items()}
-        for label, by_limit in metrics["label_aps"].items():
-            out["figures"] |= {f"ap/{label}/{float(limit)}": value for limit, value in by_limit.items()}
-            out["figures"] |= {f"ap/{label}/mean": metrics["mean_dist_aps"][label]}
-            errors = metrics["label_tp_errors"][label].items()
-            out["figures"] |= {f"class_errors/{label}/{name}": v for name, v in errors if not np.isnan(v)}
     for sample in kit.sample:
         boxes = kit.get_boxes(sample["data"]["LIDAR_TOP"])
         entry: dict[str, Any] = {

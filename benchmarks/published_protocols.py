@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _written_results import AV2_ABSENT, AV2_FIGURES, argoverse2_summary
 
 KIT = "av2==0.3.6"
 REQUIREMENTS = (
@@ -29,7 +30,6 @@ REQUIREMENTS = (
 ENVIRONMENT = Path(tempfile.gettempdir()) / "farfield-av2"
 CATEGORIES = ("REGULAR_VEHICLE", "PEDESTRIAN", "BOLLARD", "LARGE_VEHICLE", "BICYCLIST")
 COLUMNS = ("frame", "category", "centre_m", "size_m", "yaw_rad", "score")
-FIGURES = ("ap", "ate", "ase", "aoe", "cds")
 FRAMES_A_LOG = 150
 
 
@@ -199,10 +199,7 @@ def _cpu_s() -> float:
 def kit_side(path: Path, jobs: int) -> dict[str, Any]:
     """av2-api's figures, before it rounds them."""
     import pandas as pd
-    from av2.evaluation.detection import eval as kit
-    from av2.evaluation.detection.utils import DetectionCfg
 
-    kit.NUM_DECIMALS = 15
     tables = {}
     with np.load(path, allow_pickle=False) as scene:
         for side, last in (("annotated", "num_interior_pts"), ("predicted", "score")):
@@ -218,9 +215,7 @@ def kit_side(path: Path, jobs: int) -> dict[str, Any]:
             values["category"] = np.array(CATEGORIES)[column["category"]]
             tables[side] = pd.DataFrame(values)
     start = (time.perf_counter(), _cpu_s())
-    configuration = DetectionCfg(eval_only_roi_instances=False)
-    _, _, summary = kit.evaluate(tables["predicted"], tables["annotated"], configuration, n_jobs=jobs)
-    rows = {label: {name: float(summary.loc[label, name.upper()]) for name in FIGURES} for label in summary.index}
+    rows = argoverse2_summary(tables["predicted"], tables["annotated"], jobs=jobs)
     mean = rows.pop("AVERAGE_METRICS")
     return measured(start, rows, mean)
 
@@ -255,11 +250,10 @@ def farfield_side(path: Path, jobs: int) -> dict[str, Any]:
     settings = Argoverse2Settings(bootstrap=Bootstrap(replicates=0))
     start = (time.perf_counter(), _cpu_s())
     figures = evaluate_argoverse2(sides["predicted"], sides["annotated"], settings).figures
-    absent = {"ap": 0.0, "ate": 2.0, "ase": 1.0, "aoe": np.pi, "cds": 0.0}
     rows: dict[str, dict[str, float]] = {}
     for label in (*settings.classes, "mean_of_all"):
-        values = {name: figures[f"ap/{label}/{name}"] for name in FIGURES}
-        rows[label] = {name: absent[name] if value is None else value for name, value in values.items()}
+        values = {name: figures[f"ap/{label}/{name}"] for name in AV2_FIGURES}
+        rows[label] = {name: AV2_ABSENT[name] if value is None else value for name, value in values.items()}
     mean = rows.pop("mean_of_all")
     return measured(start, rows, mean)
 
@@ -410,6 +404,29 @@ def waymo_speed(frames: int) -> None:
         print(f"  {result.protocol:<9} {times}; vehicle APH {result.figures['ap/vehicle/level_2/aph']:.6f}", flush=True)
 
 
+# Files as predict writes them
+
+
+def run_results(arguments: Sequence[str]) -> int:
+    """Score what ``predict --to`` writes with the format's own tool and with ``farfield score``, and read it back.
+
+        python benchmarks/published_protocols.py results --peer-python PYTHON [--kitti-r11 TOOL] [--kitti-r40 TOOL]
+
+    PYTHON has nuscenes-devkit 1.2.0 and av2 0.3.6, installed without their dependencies, and what these import: numpy
+    below 2, pyquaternion, matplotlib, tqdm, shapely, opencv-python-headless below 4.12, scikit-learn, cachetools,
+    pandas, polars, pyarrow, joblib, scipy, universal_pathlib, numba. A TOOL is KITTI's evaluate_object_3d_offline,
+    built with Boost's headers: of prclibo/kitti_eval (11 recalls) or asharakeh/kitti_native_evaluation (40). Both
+    carry no licence, so that nobody here read them. Without a peer our figures stand alone.
+
+    Of nuScenes and Argoverse 2 the detections are annotated boxes with errors, written by the writer of ``predict``;
+    of real files also what the verb itself writes. PointRCNN's cars on KITTI are real detections.
+    """
+    import _written_results
+    from _report import SHARED_REAL, part_parser
+
+    return _written_results.run_results(arguments, part_parser(run_results.__doc__), SHARED_REAL)
+
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--worker"]:
         workers = {"kit": kit_side, "farfield": farfield_side}
@@ -420,5 +437,6 @@ if __name__ == "__main__":
         parts = {
             "argoverse2": Part(run_argoverse2, "--without-kit --frames 20"),
             "waymo": Part(run_waymo, "--frames 20"),
+            "results": Part(run_results, "--random --samples 4 --frames 12", exact=True),
         }
         raise SystemExit(run_parts(__doc__, parts))

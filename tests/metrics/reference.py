@@ -17,6 +17,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """DDS, mAP and aIoU by epsilon, AP by threshold at the first epsilon; None where nothing is annotated."""
     keys = sorted(annotations, key=lambda key: (key[0], int(key[1])))
+    if s.ties == "later_first":  # by the lines of the file, as the devkit sees them
+        keys = [*predictions, *(key for key in keys if key not in predictions)]
     found, real = _collect(predictions, annotations, keys, s)
     binned = s.range_assign == "match_then_bin"
     if not binned:

@@ -151,6 +151,21 @@ def frame_order(key: Key) -> tuple[str, int, int, str]:
     return (sequence, 0, int(frame), frame) if number else (sequence, 1, 0, frame)
 
 
+def frames_in_order(predictions: BoxesByFrame, annotations: BoxesByFrame, ties: str) -> list[Key]:
+    """The annotated frames in the order that decides between equal scores of several frames.
+
+    Args:
+        predictions: Boxes by frame, in the order of their file.
+        annotations: The frames that count.
+        ties: ``"later_first"`` takes the predictions' own order first, as the nuScenes devkit does; any other value
+            that of the frames' names.
+    """
+    keys = sorted(annotations, key=frame_order)
+    if ties != "later_first":
+        return keys
+    return [*dict.fromkeys([*(key for key in predictions if key in annotations), *keys])]
+
+
 MAX_BOXES = 5_000
 """Boxes of a frame on either side: no detector leaves so many."""
 MAX_PAIRS = 250_000

@@ -31,7 +31,7 @@ from farfield.metrics.bootstrap import Bootstrap, Draws
 from farfield.metrics.centre.matching import Limits, greedy_match, rank_predictions
 from farfield.metrics.curves import Ranking, average_precisions, mean_errors, row_chunks, weighted_curves
 from farfield.metrics.detections import Detections
-from farfield.metrics.frames import check_scores, frame_order, group_frames, nearest_first
+from farfield.metrics.frames import check_scores, frames_in_order, group_frames, nearest_first
 from farfield.metrics.options import check_numbers, check_range_bins, json_options, option_text
 from farfield.vocabulary.classes import (
     CIRRUS_FROM_NUSCENES,
@@ -66,7 +66,7 @@ class DetectionTaskSettings:
         range_bins_m: Edges of the half-open range bins, 2D range.
         max_boxes: Only so many predictions a frame count, the best of all classes.
         racks: Whether bicycles and motorcycles in an annotated rack are left out.
-        ties: Order of equal scores: ``"nearest_first"``, or ``"later_first"`` as in the devkit.
+        ties: Order of equal scores: ``"nearest_first"``, or ``"later_first"``, by the file's lines, as in the devkit.
         bootstrap: How intervals are drawn.
 
     Raises:
@@ -185,7 +185,7 @@ def gather_task(detections: Detections, settings: DetectionTaskSettings) -> Task
             "data set's folder in the place of the labels, give ego_translation in one of the files, or take all: "
             "--options ranges=none"
         )
-    keys = sorted(detections.annotations, key=frame_order)
+    keys = frames_in_order(detections.boxes, detections.annotations, settings.ties)
     over, sides = 0, ([], [])  # type: tuple[int, tuple[list[TaskBoxes], list[TaskBoxes]]]
     unknown, far, strange = 0, 0, Counter[str]()
     for number, key in enumerate(keys):

@@ -36,7 +36,7 @@ from farfield.metrics.frames import (
     check_frames,
     check_scores,
     flatten,
-    frame_order,
+    frames_in_order,
     group_frames,
     has_label,
     in_range,
@@ -176,7 +176,7 @@ def gather(
         ConfigError: If predictions lie in frames that are not annotated, or lack scores.
     """
     check_frames(predictions, annotations)
-    keys = sorted(annotations, key=frame_order)
+    keys = frames_in_order(predictions, annotations, settings.ties)
     # flatten takes one frame at a time, since they may lie on the disk; the stream counts what it passes on
     stream = _PredictionStream(predictions, keys, settings)
     predicted = flatten(stream, scored=True)

@@ -26,7 +26,7 @@ from farfield.metrics.centre.evaluation import (
 )
 from farfield.metrics.centre.matching import DROPPED
 from farfield.metrics.centre.settings import CentreSettings
-from farfield.metrics.frames import BoxesByFrame, frame_order
+from farfield.metrics.frames import BoxesByFrame, frames_in_order
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,11 +169,11 @@ def _drawn_objects(
     return np.column_stack([drawn, scene_count])
 
 
-def _object_of_box(boxes: CentreBoxes, annotations: BoxesByFrame) -> Int[np.ndarray, " m"]:
+def _object_of_box(boxes: CentreBoxes, annotations: BoxesByFrame, keys: Sequence[Key]) -> Int[np.ndarray, " m"]:
     """A number of the object of each gathered annotated box: boxes there are known by frame and centre."""
     number_of: dict[tuple[str, int], int] = {}
     by_centre: dict[tuple[int, bytes], int] = {}
-    for frame, key in enumerate(sorted(annotations, key=frame_order)):
+    for frame, key in enumerate(keys):
         frame_boxes = annotations[key]
         track_id = np.full(len(frame_boxes), -1) if frame_boxes.track_id is None else frame_boxes.track_id
         for row, track in enumerate(track_id.tolist()):
@@ -194,9 +194,9 @@ def _rank_by_object(
     boxes = with_confidences(gather(predictions, annotations, settings), settings)
     matches = match_boxes(boxes, settings)
     part = rank(boxes, matches, settings)
-    keys = sorted(annotations, key=frame_order)
+    keys = frames_in_order(predictions, annotations, settings.ties)
     names, scene_of_frame = np.unique([scenes.get(key, key[0]) for key in keys], return_inverse=True)
-    object_of_box = _object_of_box(boxes, annotations)
+    object_of_box = _object_of_box(boxes, annotations, keys)
     objects, first = np.unique(object_of_box[~boxes.ignored], return_index=True)
     number = np.searchsorted(objects, object_of_box)  # of ignored boxes' objects: never read, as they are dropped
     annotated = np.bincount(number[~boxes.ignored], minlength=len(objects) + len(names))

@@ -10,7 +10,7 @@ sums (1 + cos d) / 2 over the matches, d the difference of the headings as the c
 The *annotated* boxes choose, in the order of the file, each a detection that is still free: first by score, to find the
 scores at which recall grows; then, at each of 41 thresholds, by overlap among the detections above it. Precision is
 sampled over recall as :mod:`farfield.metrics.recall_sampling` says: R11 averages it at recalls 0, 0.1 ... 1, R40 at
-1/40 ... 1 (the official one since 2019).
+1/40 ... 1 (the official one since 2019). Fewer than 41 annotated boxes: see ``sampling``.
 
 Conventions. Annotated boxes of a neighbouring class (Van for Car) or beyond the difficulty may be found or not.
 Detections whose 2D box is too low for the difficulty do not count. ``DontCare`` regions excuse detections in KITTI's 2D
@@ -73,6 +73,8 @@ class KittiSettings:
         ignore: Classes whose annotated boxes may be found or not; None takes KITTI's neighbours (Van for Car).
         min_overlap: IoU that a match must exceed; None takes 0.7 for cars and vehicles and 0.5 for all else.
         dontcare: ``"image"``: detections that lie in a DontCare region of the image are not false.
+        sampling: With fewer than 41 annotated boxes KITTI's code leaves recall samples at 0 (``"gaps"``), so that no
+            detector reaches 100; ``"filled"`` gives them the best precision at that recall.
         range_bins_m: Edges of the half-open range bins; both kinds of boxes are cut by their own 2D range.
         region: As for the other protocols.
         window_m: As for the other protocols.
@@ -84,6 +86,7 @@ class KittiSettings:
     ignore: tuple[str, ...] | None = None
     min_overlap: float | None = None
     dontcare: Literal["none", "image"] = "none"
+    sampling: Literal["filled", "gaps"] = "filled"
     range_bins_m: tuple[float, ...] = (0.0, 70.0, 150.0, 250.0)
     region: Literal["window", "range", "none"] = "none"
     window_m: tuple[float, float, float, float] = (0.0, 250.0, -50.0, 50.0)
@@ -97,6 +100,8 @@ class KittiSettings:
         check_range_bins(self.range_bins_m)
         if self.dontcare not in ("none", "image") or self.region not in ("window", "range", "none"):
             raise ConfigError(f"expected dontcare none or image and region window, range or none, got {self}")
+        if self.sampling not in ("filled", "gaps"):
+            raise ConfigError(f"sampling: expected filled or gaps, got {self.sampling!r}")
         if self.label in (self.ignore or ()):
             raise ConfigError(f"label: {self.label!r} is also ignored; take it out of ignore to score it")
 
@@ -111,8 +116,11 @@ class KittiSettings:
         return tuple(pairwise(self.range_bins_m))
 
     def to_json(self) -> dict[str, Any]:
-        """All options as JSON values."""
-        return json_options(asdict(self))
+        """All options as JSON values; ``sampling`` where it is not the one of results written before there was any."""
+        options = json_options(asdict(self))
+        if self.sampling == "filled":
+            del options["sampling"]
+        return options
 
     def convention(self) -> str:
         """The chosen options in one line."""
@@ -173,7 +181,7 @@ def evaluate_kitti(
     # 2. Match, and count true and false positives at the thresholds of 41 recalls.
     counts = _count_parts(data, settings, parts)
     # 3. Average precision over recalls, for weights of 1 (the figures) and for draws of the drives (the intervals).
-    figures, intervals = point_and_intervals(partial(_part_figures, counts), data.groups, settings.bootstrap)
+    figures, intervals = point_and_intervals(partial(_part_figures, counts, settings), data.groups, settings.bootstrap)
     curves: dict[str, Any] = {part: {} for part in parts}
     for part, counted in counts.items():
         for (measure, difficulty), at_thresholds in counted.items():
@@ -209,7 +217,7 @@ def weighted_kitti(
     """The figures as functions of group weights; the arguments are those of :func:`evaluate_kitti`."""
     data = gather_kitti(predictions, annotations, settings, prediction_details or {}, annotation_details, drives)
     counts = _count_parts(data, settings, _part_masks(data, settings))
-    figures = {part: partial(_figures, counted) for part, counted in counts.items()}
+    figures = {part: partial(_figures, counted, settings) for part, counted in counts.items()}
     return Weighted(parts=figures, groups=tuple(data.group.tolist()), grouped_by=data.grouped_by)
 
 
@@ -233,16 +241,19 @@ def _count_parts(data: "KittiFrames", settings: KittiSettings, parts: _PartMasks
     }
 
 
-def _part_figures(counts: Mapping[str, _PartCounts], weights: Float[np.ndarray, "r g"]) -> dict[str, Draws]:
-    return {part: _figures(counted, weights) for part, counted in counts.items()}
+def _part_figures(
+    counts: Mapping[str, _PartCounts], settings: KittiSettings, weights: Float[np.ndarray, "r g"]
+) -> dict[str, Draws]:
+    return {part: _figures(counted, settings, weights) for part, counted in counts.items()}
 
 
-def _figures(counted: _PartCounts, weights: Float[np.ndarray, "r g"]) -> Draws:
+def _figures(counted: _PartCounts, settings: KittiSettings, weights: Float[np.ndarray, "r g"]) -> Draws:
     """AP of one part by measure, recall points and difficulty under each row of group weights."""
+    gaps = settings.sampling == "gaps"
     return {
         f"ap/{measure}_r{points}/{difficulty}": values
         for (measure, difficulty), at_thresholds in counted.items()
-        for points, values in at_thresholds.average_precisions(weights, (11, 40)).items()
+        for points, values in at_thresholds.average_precisions(weights, (11, 40), gaps=gaps).items()
     }
 
 
