@@ -260,7 +260,8 @@ def plan_downloads(
     sizes = [frame.members[0].bytes for frame in left]
     own = sum(STORED_BYTES[name] for name in settings.products) if frame_bytes is None else frame_bytes
     beside = sum(member.bytes for member in downloads.beside.values())
-    at_once = sum(sizes) if keep else sum(sorted(sizes)[-(workers + _DELETED_AT) :])
+    # as one more is unpacked by each worker, those wait that are done but not yet as many as are deleted together
+    at_once = sum(sizes) if keep else sum(sorted(sizes)[-(workers + _DELETED_AT - 1) :])
     stored = own * len(left)
     return DownloadPlan(
         frames=len(left),
