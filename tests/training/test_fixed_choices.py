@@ -10,6 +10,7 @@ from farfield.detectors import devices
 from farfield.detectors.weights import load_weights
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import load_experiment
+from farfield.frame import provenance
 from farfield.training.checkpoints import load_checkpoint, resumed_otherwise
 from farfield.training.config import TrainingConfig
 from farfield.training.processes import fixed_choices
@@ -102,6 +103,22 @@ def test_another_number_of_cores_does_not_change_a_run_that_goes_on(
     (line,) = load_weights(ordered)[1]["resumed_otherwise"]
     assert line == {"step": 3, "changes": {"threads": [1, 2]}}
     assert any("threads was 1, is 2" in text for text in report.lines)
+
+
+def test_a_changed_checkout_gives_other_bytes_and_the_same_weights(
+    experiment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As once where files were edited while a benchmark of interruptions compared bytes."""
+    paths = []
+    for commit in ("0123456789ab", "0123456789ab-dirty"):
+        monkeypatch.setattr(provenance, "git_commit", lambda commit=commit: commit)
+        paths.append(run(experiment, tmp_path / commit, Stopping(), "training.precision=fp32", "training.steps=1"))
+    assert paths[0].read_bytes() != paths[1].read_bytes()
+    one, two = (load_weights(path)[0].state_dict() for path in paths)
+    assert all(torch.equal(one[name], two[name]) for name in one)
+    saved, now = (load_weights(path)[1] for path in paths)
+    (change,) = resumed_otherwise(saved, now, 1)
+    assert change["changes"] == {"environment.commit": ["0123456789ab", "0123456789ab-dirty"]}
 
 
 def test_settings_go_before_a_checkpoint_and_another_device_chooses_anew() -> None:

@@ -15,8 +15,15 @@ from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.downloads import content_of
 from farfield.datasets.kradar import KRadar, KRadarWriter
-from farfield.datasets.kradar.downloads import convert_downloads, find_downloads, unpacked_path
-from farfield.datasets.kradar.store import StoreSettings, convert_to_store
+from farfield.datasets.kradar.downloads import (
+    STORED_BYTES,
+    convert_downloads,
+    find_downloads,
+    plan_downloads,
+    unpacked_path,
+)
+from farfield.datasets.kradar.layout import product_path
+from farfield.datasets.kradar.store import StoreSettings, StoreTask, convert_to_store
 from farfield.errors import DatasetError
 from farfield.files.marks import mark_of
 
@@ -105,6 +112,33 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
             writer.write(frame(number, sequence=sequence, radar={"polar3d": polar * number}))
     writer.finish()
     return root
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_the_disk_takes_what_was_announced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, keep: bool) -> None:
+    tree, store, peak = tmp_path / "tree", tmp_path / "store", [0]
+    folder = tree / "1" / "radar_zyx_cube"
+    folder.mkdir(parents=True)
+    for number in range(1, 9):
+        (folder / f"cube_{number:05d}.mat").write_bytes(bytes(3_000_000))
+    (tmp_path / "downloads").mkdir()
+    pack(tmp_path / "downloads" / "1_rt.zip", tree, ("1/radar_zyx_cube/*",))
+
+    def stored(task: StoreTask, target: Path, settings: StoreSettings) -> list[Path]:
+        """In place of the conversion: a file as large as one of cells, when all that is needed lies there."""
+        del settings
+        path = target / product_path("cells", task.sequence, task.index)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(bytes(STORED_BYTES["cells"]))
+        peak[0] = max(peak[0], sum(file.stat().st_size for file in store.rglob("*") if file.is_file()))
+        return [path]
+
+    monkeypatch.setattr("farfield.datasets.kradar.downloads.convert_frame", stored)
+    monkeypatch.setattr("farfield.datasets.kradar.downloads.write_manifest", lambda *words: None)
+    read = find_downloads([tmp_path / "downloads"])
+    plan = plan_downloads(read, read.radar, StoreSettings(), workers=1, keep=keep)
+    assert convert_downloads(read, store, keep=keep).written == 8
+    assert abs(plan.peak_bytes - peak[0]) < 0.05 * peak[0]
 
 
 def contents(store: Path) -> dict[str, tuple[int, int]]:

@@ -41,7 +41,8 @@ _SHARED_FORMS = (
     "int",
     "uint",
 )  # which all files should have
-_RARE = 0.34
+_RARE, _SERIES = 0.34, 4
+"""Share of files at most that are odd ones, and how many files make a series: of fewer all are kinds of their own."""
 
 
 def make_bundle(
@@ -204,7 +205,7 @@ def _of_files(bundle: Bundle) -> Iterator[Finding]:
             what = f"{count_of(len(odd), 'file')} of another size than most{records}: {', '.join(odd[:5])}"
             yield Finding(severity="warn", topic="size", what=what, where=where)
         usual = next((form for form in group.forms if form.form.startswith(_SHARED_FORMS)), None)
-        for form in group.forms:
+        for form in group.forms if group.looked_at >= _SERIES else ():
             if usual is not None and form != usual and form.files <= _RARE * group.looked_at and form.form != "damaged":
                 what = f"{form.examples[0] if form.examples else 'a file'}: {form.form}; most have {usual.form}"
                 yield Finding(severity="warn", topic="form", what=what, where=where)
