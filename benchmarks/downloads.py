@@ -26,7 +26,9 @@ from farfield.files.marks import mark_of
 ERROR = 0.2
 """By how much of itself what is announced may differ from what is measured."""
 _UNITS = {"bytes": 1, "kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12}
-_EVERY_S = 0.01
+_EVERY_S = 0.03
+_WEATHERS = {"normal", "overcast", "fog", "rain", "sleet", "lightsnow", "heavysnow"}
+"""As K-Radar's description.txt names them."""
 
 
 def run_score(arguments: Sequence[str]) -> int:
@@ -81,13 +83,11 @@ def run_score(arguments: Sequence[str]) -> int:
         _said(["report", str(evaluation / "evaluation.json"), "--out", str(page)])
         conditions = {line.strip() for path in store.glob("*/description.txt") for line in path.read_text().split(",")}
         text = page.read_text(encoding="utf-8")
-        weathers = sorted(word for word in conditions if word in WEATHERS)
-        scored = [word for word in weathers if word.replace("_", " ") in text or word in text]
+        weathers = sorted(word for word in conditions if word in _WEATHERS)
+        names = {word: word.replace("snow", "_snow") for word in weathers}
+        scored = [word for word, name in names.items() if name in text or name.replace("_", " ") in text]
         table.add("scored by weather", ", ".join(scored) or "none", ", ".join(weathers), scored == weathers)
     return table.status
-
-
-WEATHERS = ("normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow")
 
 
 @contextlib.contextmanager

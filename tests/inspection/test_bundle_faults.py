@@ -40,9 +40,9 @@ def column_less(glob: str, root: Path) -> None:
 
 def put(glob: str, old: str, new: str, root: Path, *, once: bool = False) -> None:
     """Other words in a file, or in all."""
-    paths = files(root, glob)
+    paths = [path for path in files(root, glob) if old in path.read_text()]
+    assert paths, old
     for path in paths[:1] if once else paths:
-        assert old in path.read_text()
         path.write_text(path.read_text().replace(old, new, 1 if once else -1))
 
 

@@ -16,10 +16,10 @@ from farfield.datasets import open_dataset
 from farfield.datasets.downloads import content_of
 from farfield.datasets.kradar import KRadar, KRadarWriter
 from farfield.datasets.kradar.downloads import (
-    STORED_BYTES,
     convert_downloads,
     find_downloads,
     plan_downloads,
+    stored_bytes,
     unpacked_path,
 )
 from farfield.datasets.kradar.layout import product_path
@@ -126,10 +126,9 @@ def test_the_disk_takes_what_was_announced(tmp_path: Path, monkeypatch: pytest.M
 
     def stored(task: StoreTask, target: Path, settings: StoreSettings) -> list[Path]:
         """In place of the conversion: a file as large as one of cells, when all that is needed lies there."""
-        del settings
         path = target / product_path("cells", task.sequence, task.index)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(bytes(STORED_BYTES["cells"]))
+        path.write_bytes(bytes(int(stored_bytes(settings, task.source))))
         peak[0] = max(peak[0], sum(file.stat().st_size for file in store.rglob("*") if file.is_file()))
         return [path]
 
@@ -158,6 +157,9 @@ def test_a_store_of_the_archives_is_that_of_the_tree_and_opens_by_itself(tree: P
     assert "min" in said[1]
     convert_to_store(KRadar(tree), tmp_path / "plain", SETTINGS)
     assert contents(tmp_path / "store") == contents(tmp_path / "plain")
+    for path in contents(tmp_path / "store"):
+        size = (tmp_path / "store" / path).stat().st_size
+        assert abs(stored_bytes(SETTINGS, "polar3d") - size) < 0.2 * size, path
     assert not (tmp_path / "store" / "unpacked").exists()
     assert {path: (mark_of(path), path.stat().st_mtime_ns) for path in downloads.iterdir()} == marks
     data = open_dataset(tmp_path / "store")
