@@ -44,6 +44,7 @@ class VerbCase:
         clocks: Names of further files that hold what a clock measured.
         program: What runs it, of the project, in place of the command line.
         chain: Signals in a row, each of a command that goes on, before the last is run to its end.
+        unpacks: It unpacks what it deletes again, so that the bytes of its results alone tell how far it is.
     """
 
     line: str
@@ -55,6 +56,7 @@ class VerbCase:
     clocks: tuple[str, ...] = ()
     program: str = ""
     chain: int = 5
+    unpacks: bool = False
 
     @property
     def verb(self) -> str:
@@ -82,7 +84,9 @@ CASES = {
     "convert --to cirrus": VerbCase("convert DATA OUT --to cirrus", "frames"),
     "convert --to cache": VerbCase("convert OUT --to cache", "frames", inside=True),
     "convert --to radar-store": VerbCase("convert DATA OUT --to radar-store", "radar"),
-    "convert --to radar-store, downloads": VerbCase("convert DATA OUT --to radar-store --region narrow", "downloads"),
+    "convert --to radar-store, downloads": VerbCase(
+        "convert DATA OUT --to radar-store --region narrow", "downloads", unpacks=True
+    ),
     "convert --to boxes-csv": VerbCase("convert DATA OUT --to boxes-csv", "frames"),
     "convert --to boxes-csv, a file": VerbCase("convert DATA OUT --to boxes-csv", "frames", out="labels.csv"),
     "convert --to openlabel": VerbCase("convert DATA OUT --to openlabel", "frames"),
