@@ -96,7 +96,7 @@ REAL: dict[str, tuple[str, Plant, tuple[str, ...]]] = {
     "columns of Astyx": (
         "astyx/dataset_astyx_hires2019",
         partial(column_less, "radar_6455/*.txt"),
-        ("radar_6455", "columns"),
+        ("radar_6455/000006.txt", "expected X Y Z V_r Mag"),
     ),
     "cut cloud": ("sustechpoints", partial(cut, "lidar/*.pcd"), (".pcd",)),
 }
@@ -125,7 +125,7 @@ def kradar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 KRADAR: dict[str, tuple[Plant, tuple[str, ...]]] = {
     "class": (partial(put, "**/*_*.txt", "Sedan", "Sedna"), ("Sedna",)),
     "cut sweep": (partial(cut, "1/os2-64/*.pcd"), (".pcd",)),
-    "columns of labels": (partial(column_less, "1/info_label/*.txt"), ("info_label",)),
+    "columns of labels": (partial(column_less, "1/info_label/*.txt"), ("lines of", "info_label")),
 }
 
 
@@ -137,7 +137,7 @@ def test_a_fault_in_a_written_kradar_tree_is_told(tmp_path: Path, kradar: Path, 
 
 def misnamed(root: Path) -> None:
     """A class that is misspelt in one simulated frame."""
-    path = next(path for path in files(root, "*_annotation/*.json") if "vehicle" in path.read_text())
+    path = next(path for path in files(root, "**/*_annotation/*.json") if "vehicle" in path.read_text())
     tree = json.loads(path.read_text())
     tree["labels"][0]["label_class"] = "vehcile"
     path.write_text(json.dumps(tree))
@@ -145,15 +145,15 @@ def misnamed(root: Path) -> None:
 
 def negative_stamp(root: Path) -> None:
     """A frame whose files bear a negative time."""
-    paths = files(root, "*/*.xyz")
+    paths = files(root, "**/*.xyz")
     stem = paths[0].stem
-    for path in root.glob(f"*/{stem}.*"):
+    for path in files(root, f"**/{stem}.*"):
         path.rename(path.with_name(f"-{path.name}"))
 
 
 CIRRUS: dict[str, tuple[Plant, tuple[str, ...]]] = {
     "class": (misnamed, ("vehcile",)),
-    "cut sweep": (partial(cut, "*_gaussian/*.xyz"), (".xyz",)),
+    "cut sweep": (partial(cut, "**/*_gaussian/*.xyz"), (".xyz",)),
     "negative stamps": (negative_stamp, ("-",)),
 }
 

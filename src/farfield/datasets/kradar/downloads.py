@@ -355,10 +355,10 @@ def convert_downloads(
                 if running.here:
                     running.enter(number, running.work(running.unit(number)))
                 pending.append(running.unit(number))
-                clock.count(journal)
                 if len(pending) >= _DELETED_AT:
                     _delete_unpacked(target, journal, pending, keep)
                     pending.clear()
+                clock.count(journal)
             _delete_unpacked(target, journal, pending, keep)
         faults = [*downloads.faults, *_frame_faults(journal, units)]
         _remove_empty(target / UNPACKED)
