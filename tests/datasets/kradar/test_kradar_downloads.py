@@ -1,6 +1,7 @@
-"""K-Radar's downloads in their archives' form: two sequences, one archive empty, one cut; kills at ten moments."""
+"""K-Radar's downloads in their archives' form: two sequences, one archive empty, one cut; signals at ten moments."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -189,8 +190,9 @@ def test_a_damaged_member_is_said_and_the_next_archive_mends_it(tree: Path, tmp_
 
 
 @pytest.mark.slow
-def test_ten_kills_lose_nothing_and_unpack_nothing_twice(tree: Path, tmp_path: Path) -> None:
+def test_ten_signals_lose_nothing_and_unpack_nothing_twice(tree: Path, tmp_path: Path) -> None:
     downloads, store = archives_of(tree, tmp_path / "downloads"), tmp_path / "store"
+    sources = {path: (mark_of(path), path.stat().st_mtime_ns) for path in downloads.iterdir()}
     command = [sys.executable, "-m", "farfield.cli", "convert", str(downloads), str(store), "--to", "radar-store",
                "--region", "narrow", "--workers", "1", "--keep"]  # fmt: skip
     frames = find_downloads([downloads]).radar
@@ -206,8 +208,8 @@ def test_ten_kills_lose_nothing_and_unpack_nothing_twice(tree: Path, tmp_path: P
             if begun:
                 break
             time.sleep(0.002)
-        running.kill()
-        running.wait()
+        running.send_signal((signal.SIGKILL, signal.SIGTERM)[moment % 2])
+        assert running.wait(60) in ((-signal.SIGKILL, 0), (128 + signal.SIGTERM, 0))[moment % 2]
         for radar in frames:
             path = unpacked_path(store, radar)
             if path.is_file():
@@ -218,6 +220,8 @@ def test_ten_kills_lose_nothing_and_unpack_nothing_twice(tree: Path, tmp_path: P
         assert (path.stat().st_ino, path.stat().st_mtime_ns) == state
     convert_to_store(KRadar(tree), tmp_path / "plain", SETTINGS)
     assert contents(store) == contents(tmp_path / "plain")
+    assert {path: (mark_of(path), path.stat().st_mtime_ns) for path in downloads.iterdir()} == sources
+    assert not [path for path in store.rglob("*") if path.suffix in (".part", ".lock") or "unfinished" in path.name]
     finished = find_downloads([downloads])
     assert convert_downloads(finished, store, SETTINGS).skipped == sum(FRAMES.values())
     assert not list(store.glob("unpacked/**/*.npy"))
