@@ -1,5 +1,6 @@
 """Every verb that writes: its command, the data that it reads, and what of its files differs from run to run."""
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+from _kradar_downloads import pack_downloads
 from _report import MissingError
 
 from farfield.cli import RESUMING, VERBS
@@ -42,6 +44,7 @@ class VerbCase:
         clocks: Names of further files that hold what a clock measured.
         program: What runs it, of the project, in place of the command line.
         chain: Signals in a row, each of a command that goes on, before the last is run to its end.
+        unpacks: It unpacks what it deletes again, so that the bytes of its results alone tell how far it is.
     """
 
     line: str
@@ -53,6 +56,7 @@ class VerbCase:
     clocks: tuple[str, ...] = ()
     program: str = ""
     chain: int = 5
+    unpacks: bool = False
 
     @property
     def verb(self) -> str:
@@ -80,6 +84,9 @@ CASES = {
     "convert --to cirrus": VerbCase("convert DATA OUT --to cirrus", "frames"),
     "convert --to cache": VerbCase("convert OUT --to cache", "frames", inside=True),
     "convert --to radar-store": VerbCase("convert DATA OUT --to radar-store", "radar"),
+    "convert --to radar-store, downloads": VerbCase(
+        "convert DATA OUT --to radar-store --region narrow", "downloads", unpacks=True
+    ),
     "convert --to boxes-csv": VerbCase("convert DATA OUT --to boxes-csv", "frames"),
     "convert --to boxes-csv, a file": VerbCase("convert DATA OUT --to boxes-csv", "frames", out="labels.csv"),
     "convert --to openlabel": VerbCase("convert DATA OUT --to openlabel", "frames"),
@@ -87,6 +94,9 @@ CASES = {
     "convert --to cvat": VerbCase("convert DATA OUT --to cvat", "frames"),
     "convert --to nuscenes": VerbCase("convert DATA OUT --to nuscenes", "frames"),
     "convert --to nuscenes --dialect t4": VerbCase("convert DATA OUT --to nuscenes --dialect t4", "frames"),
+    "convert --to supervisely": VerbCase("convert DATA OUT --to supervisely", "frames"),
+    "convert --to xtreme1": VerbCase("convert DATA OUT --to xtreme1", "frames"),
+    "convert --to labelcloud": VerbCase("convert DATA OUT --to labelcloud", "frames"),
     "convert --to coco": VerbCase("convert DATA OUT --to coco", "frames", out="boxes.json"),
     "convert --to openpcdet": VerbCase("convert DATA OUT --to openpcdet", "frames"),
     "predict": VerbCase(
@@ -126,6 +136,16 @@ CASES = {
         "checkpoint",
         workers=False,
         out="ours.safetensors",
+        needs=("torch",),
+    ),
+    "export": VerbCase(
+        "export pointpillars-cirrus-sim OUT", "", workers=False, out="ours.onnx", needs=("torch", "onnx", "onnxruntime")
+    ),
+    "worst": VerbCase(
+        "worst DATA/evaluation --data DATA/frames --out OUT",
+        "evaluated",
+        workers=False,
+        out="worst.html",
         needs=("torch",),
     ),
     "stats": VerbCase("stats DATA --name frames --sweeps 10 --out OUT", "frames"),
@@ -185,6 +205,19 @@ def _trained(folder: Path) -> None:
     _quietly("train", str(folder / "tiny.yaml"), "--out", str(folder / "runs"))
 
 
+def _evaluated(folder: Path) -> None:
+    _simulated(folder / "frames", *_CIRRUS, "4", "--sequences", "2", "--sensors", "gaussian")
+    words = ("--clouds", "gaussian", "--replicates", "3", "--shown-frames", "1", "--workers", "1")
+    _quietly("evaluate", "pointpillars-cirrus-sim", str(folder / "frames"), *words, "--out", str(folder / "evaluation"))
+
+
+def _downloads(folder: Path) -> None:
+    tree = folder.with_name(f"{folder.name} unpacked")
+    _simulated(tree, "kradar-sim-mini", "--frames", "8", "--sequences", "2", "--sensors", "os2-64,polar3d")
+    pack_downloads(tree, folder)
+    shutil.rmtree(tree)
+
+
 def _checkpoint(folder: Path) -> None:
     """Weights as OpenPCDet's PointPillars names them, drawn at random."""
     import torch
@@ -239,6 +272,8 @@ DATA: dict[str, Callable[[Path], object]] = {
     "faces": _faces,
     "training": _training,
     "trained": _trained,
+    "evaluated": _evaluated,
+    "downloads": _downloads,
     "checkpoint": _checkpoint,
     "stamps": _stamps,
     "scores": _scores,

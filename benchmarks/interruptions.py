@@ -25,7 +25,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from _interrupted_verbs import CASES, CLOCKS, DATA, LEFT_OUT, TIMING, VerbCase, 
 from _report import MissingError, Part, Table, commit, part_parser, run_parts
 
 from farfield.files.atomic import write_text
+from farfield.frame.provenance import git_commit
 
 SINGLE = 4
 IMPORT_S = 2.0  # of CPU: torch
@@ -167,7 +168,7 @@ class Bench:
         else:
             left, different = names(folder), differing(hashes(folder, case.clocks), expected.hashes)
             if different:
-                self.fault(name, what, f"other bytes: {', '.join(different[:5])}")
+                self.fault(name, what, f"{len(different)} of other bytes, such as {', '.join(different[:5])}")
             if left != expected.names:
                 self.fault(name, what, f"other files: {', '.join(sorted(left ^ expected.names)[:5])}")
         self.gone(name, folder, what)
@@ -227,10 +228,12 @@ def files(folder: Path) -> Iterator[Path]:
         yield from (Path(root, name) for name in file_names)
 
 
-def size_of(folder: Path) -> int:
-    """Bytes of all files."""
+def size_of(folder: Path, only: Collection[str] | None = None) -> int:
+    """Bytes of all files, or of those of some names."""
     total = 0
     for path in files(folder):
+        if only is not None and path.relative_to(folder).as_posix() not in only:
+            continue
         with contextlib.suppress(OSError):
             total += path.stat().st_size
     return total
@@ -339,32 +342,33 @@ class Moment:
     size: float
     cpu: float
     pause_s: float
+    only: Collection[str] | None = None
 
     def __call__(self, pid: int) -> bool:
         """Whether it is reached."""
-        return size_of(self.folder) - self.before > self.size or cpu_s(pid) > self.cpu
+        return size_of(self.folder, self.only) - self.before > self.size or cpu_s(pid) > self.cpu
 
 
 def signalled(bench: Bench, name: str, case: VerbCase, count: int) -> str:
     """End a case by signals, and run it to its end; how many were sent and how many met it at work."""
     expected, at_work, sent = bench.undisturbed(case), 0, 0
-    chain = case.chain if case.resumes else 1
+    chain, only = case.chain if case.resumes else 1, expected.names if case.unpacks else None
     while sent < count:
         links = min(chain, count - sent)
         folder = bench.folder(case)
-        begun = size_of(folder)
+        begun = size_of(folder, only)
         for link in range(links):
             number = (signal.SIGTERM, signal.SIGKILL)[sent % 2]
             workers = 1 + (sent // 2) % 2 if case.workers else 1
             share = (link + (sent * 0.37) % 1) / links if links > 1 else (sent + 0.5) / count
             by_bytes = case.resumes and sent % 3 < 2
             # a resumed run has less to do: what it costs to start and the share of what is left
-            left = 1.0 - max(0.0, size_of(folder) - begun) / max(1, expected.size)
+            left = 1.0 - max(0.0, size_of(folder, only) - begun) / max(1, expected.size)
             cpu = expected.cpu_s * (1.5 if by_bytes else 0.25 + 0.7 * share * left)
             size = share * expected.size if by_bytes else float("inf")
             alone = link == 0  # the others are forks; both ways the same moment of the work
             pause_s = min(0.1, max(0.004, expected.cpu_s / 100))
-            moment = Moment(folder, begun, size, cpu + (IMPORT_S if alone and case.needs else 0.0), pause_s)
+            moment = Moment(folder, begun, size, cpu + (IMPORT_S if alone and case.needs else 0.0), pause_s, only)
             at_work += interrupt(bench, name, case, folder, number, workers, moment, alone=alone)
             sent += 1
         bench.compare(name, case, folder, expected, f"after signals {sent - links + 1} to {sent}")
@@ -564,11 +568,15 @@ def _each(
             untried.append(name if name not in cases else f"{name} ({lacking(case)} is not installed)")
             continue
         if not stands:
-            before = len(bench.faults)
+            before, code = len(bench.faults), git_commit()
             try:
                 figure = tried(bench, name, case)
             except MissingError as error:
                 table.add(name, f"left out: {str(error)[:200]}", "", False)
+                continue
+            if git_commit() != code:  # weights and results tell the code that made them: their bytes are others
+                del bench.faults[before:]
+                table.add(name, "left out: the code changed meanwhile", "", False)
                 continue
             wrong = bench.faults[before:]
             rows.add(name, state=state, figure=figure, held=not wrong, faults=wrong, commit=commit(ROOT))

@@ -78,3 +78,29 @@ def test_rows_are_kept_and_those_that_hold_are_not_tried_again(
     assert names == ["sync", "score", "new-dataset", "score"]
     assert "MISSED" not in text
     assert "0 faults" in text
+
+
+def test_a_row_for_which_the_code_changed_is_none(
+    tried: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("psutil")
+    import interruptions
+
+    commits = iter(["abc", "abc-dirty", "abc-dirty", "abc-dirty"])
+    monkeypatch.setattr(interruptions, "git_commit", lambda: next(commits))
+    monkeypatch.setattr(interruptions, "CASES", {"sync": tried.CASES["sync"]})
+
+    def attempt(bench: interruptions.Bench, name: str, case: object) -> str:
+        del case
+        if not bench.count:
+            bench.fault(name, "a test", "other bytes")
+        bench.count += 1
+        return "a try"
+
+    for words, faults in (("left out: the code changed meanwhile", "0 faults"), ("a try", "1 faults")):
+        interruptions._each(
+            interruptions._parser(interruptions.run_twice).parse_args(["--home", str(tmp_path)]), "", attempt
+        )
+        text = capsys.readouterr().out
+        assert words in text
+        assert faults in text

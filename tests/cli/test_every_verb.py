@@ -75,20 +75,21 @@ def test_every_verb_has_a_command() -> None:
     assert set(WORDS) == set(VERBS)
 
 
-def end_myself(*_: object) -> int:
+def end_myself(*_: object, **__: object) -> int:
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(5)
     return 0
 
 
+@pytest.mark.parametrize("when", ["farfield.cli._run", "tyro.cli"])  # at work, and while words are parsed
 @pytest.mark.parametrize(
     ("verb", "words"),
     [("convert", "again: it resumes where it stopped.\n"), ("score", "Run the same command again.\n")],
 )
 def test_a_verb_that_sigterm_ends_says_how_to_go_on(
-    verb: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    verb: str, words: str, when: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("farfield.cli._run", end_myself)
+    monkeypatch.setattr(when, end_myself)
     with pytest.raises(SystemExit) as ended:
         main([verb])
     assert ended.value.code == 143

@@ -244,7 +244,9 @@ def _run(function: Callable[..., int | None], verb: str, arguments: list[str]) -
         try:
             with redirect_stderr(printed), redirect_stdout(printed):
                 args, kwargs = tyro.cli(call, prog=f"farfield {verb}", args=arguments)
-        except SystemExit:
+        except SystemExit as ended:
+            if ended.code == _TERMINATED:  # by a signal, while it parsed
+                raise
             _complain(f"farfield {verb}: {_refusal(verb, printed.getvalue())}")
             return 2
     return int(function(*args, **kwargs) or 0)

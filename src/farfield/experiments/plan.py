@@ -26,13 +26,14 @@ from farfield.frame.provenance import SIMULATION_FILE, environment
 from farfield.inspection.axes_and_units import first_doubts
 from farfield.jobs.folders import held
 from farfield.simulation.recording import ensure, recorded_frames
-from farfield.training.checkpoints import CHECKPOINT_NAME
+from farfield.training.checkpoints import CHECKPOINT_NAME, provenance_in
+from farfield.training.config import TrainingConfig
 from farfield.training.loop import Training
 from farfield.training.method import DETECTOR, LABELLED, METHODS, Method, network_of
 from farfield.training.mixed import family_of
 from farfield.training.negatives import load_negatives
 from farfield.training.param_groups import describe_parts, frozen_names, frozen_now
-from farfield.training.processes import kind_of_device, launch, precision_of
+from farfield.training.processes import fixed_choices, kind_of_device, launch, precision_of
 from farfield.training.report import TrainingReport
 from farfield.training.samples import TrainingSamples
 from farfield.training.transfer import TransferReport, start_network
@@ -74,7 +75,7 @@ class Plan:
             DatasetError: If data are not there, or hold none of the experiment's clouds or classes.
             ConfigError: If the method's streams and the experiment's data do not fit.
         """
-        fabric = launch(self.experiment.training)
+        fabric = launch(self._fixed())
         report = report if report is not None and fabric.is_global_zero else TrainingReport()
         with held(self.folder) if fabric.is_global_zero else nullcontext():
             experiment = self.experiment
@@ -157,6 +158,10 @@ class Plan:
                 f"-o '{key}.aliases={{{next(iter(names))}: CLASS}}' or a mapping.yaml beside the data"
             )
 
+    def _fixed(self) -> TrainingConfig:
+        """The training's settings; of a run that goes on, with what its checkpoint says that it chose."""
+        return fixed_choices(self.experiment.training, provenance_in(self.folder / CHECKPOINT_NAME))
+
     def announce(self, report: TrainingReport) -> None:
         """Say what the run is about to do; errors are those of :meth:`run` that need no simulation to be found."""
         experiment, _ = with_real_data_named(self.experiment, {})
@@ -190,7 +195,7 @@ class Plan:
         lines.append(
             f"{count_of(training.steps, 'step', spec=',')} of "
             f"{count_of(training.batch_size, 'frame')}{passes}, learning rate up to "
-            f"{training.learning_rate:g}, {precision_of(training)} on the {kind_of_device(training)}, "
+            f"{training.learning_rate:g}, {precision_of(self._fixed())} on the {kind_of_device(training)}, "
             f"seed {training.seed}"
         )
         if training.start is not None:

@@ -307,6 +307,40 @@ def prolonged(saved: Mapping[str, Any], provenance: Mapping[str, Any], step: int
     return earlier if before == now else [*earlier, {"step": step, "from": int(before or step), "to": int(now or step)}]
 
 
+_DECIDING = ("device", "precision", "threads", "environment.commit", "environment.versions.torch")
+"""What, besides experiment and data, decides the bytes of weights, by its dotted name in a provenance."""
+
+
+def resumed_otherwise(saved: Mapping[str, Any], provenance: Mapping[str, Any], step: int) -> list[dict[str, Any]]:
+    """Where a run went on with another of what decides its bytes: ``step`` done and ``changes`` by name.
+
+    Earlier ones come first. A change is a pair: what it was and what it is.
+    """
+    before, now = dict(flatten(saved)), dict(flatten(provenance))
+    changes = {
+        name: [before[name], now[name]]
+        for name in _DECIDING
+        if name in before and name in now and before[name] != now[name]
+    }
+    earlier = list(saved.get("resumed_otherwise", ()))
+    return [*earlier, {"step": step, "changes": changes}] if changes else earlier
+
+
+def provenance_in(path: Path) -> Mapping[str, Any]:
+    """The provenance in a checkpoint; empty where there is none or it is of another form, which :func:`load_run` says.
+
+    Raises:
+        FileFormatError: If the file is damaged.
+    """
+    if not path.is_file():
+        return {}
+    try:
+        provenance = plain_json(load_checkpoint(path)["provenance"])
+    except (KeyError, TypeError, ValueError):
+        return {}
+    return provenance if isinstance(provenance, Mapping) else {}
+
+
 def _current_names(experiment: Any) -> Any:
     """An experiment of an earlier version with its detector's settings under today's names."""
     try:

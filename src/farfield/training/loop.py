@@ -33,8 +33,10 @@ from farfield.training.checkpoints import (
     check_sound,
     load_run,
     prolonged,
+    provenance_in,
     remove_best,
     resume_optimizer,
+    resumed_otherwise,
     save_checkpoint,
 )
 from farfield.training.config import TrainingConfig
@@ -43,6 +45,8 @@ from farfield.training.param_groups import always_frozen, freeze, frozen_now, gr
 from farfield.training.processes import (
     average_gradients,
     average_values,
+    fixed_choices,
+    kind_of_device,
     launch,
     precision_of,
     spread_state,
@@ -221,12 +225,13 @@ class Training:
 
     def _start(self, report: TrainingReport | None) -> Fabric:
         """Processes, modules, optimiser and average, as the checkpoint has them; the first frames are read."""
+        self.config = fixed_choices(self.config, provenance_in(self.checkpoint_path))
         if self.config.threads:
             torch.set_num_threads(self.config.threads)
         keep_freed_memory()
         self.folder.mkdir(parents=True, exist_ok=True)
-        precision = precision_of(self.config)
-        self.provenance = {**self.provenance, "precision": precision, "threads": torch.get_num_threads()}
+        choices = {"precision": precision_of(self.config), "threads": torch.get_num_threads()}
+        self.provenance = {**self.provenance, **choices, "device_kind": kind_of_device(self.config)}
         fabric = self.fabric or launch(self.config)
         self._report = report if report is not None and fabric.is_global_zero else TrainingReport()
         self.provenance["device"] = name_of(fabric.device)
@@ -399,6 +404,10 @@ class Training:
             return
         if raised := prolonged(run.provenance, self.provenance, run.step):
             self.provenance = {**self.provenance, "prolonged": raised}
+        if changes := resumed_otherwise(run.provenance, self.provenance, run.step):
+            self.provenance = {**self.provenance, "resumed_otherwise": changes}
+            for name, (before, now) in changes[-1]["changes"].items() if changes[-1]["step"] == run.step else ():
+                self._report.say(f"note: {name} was {before}, is {now}: other weights than of a run in one go")
         resume_optimizer(self.checkpoint_path, run.optimizer, self._optimizer)
         self.modules.load_state_dict(run.modules)
         copy_state(self._average, run.average)

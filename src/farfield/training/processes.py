@@ -8,7 +8,7 @@ import atexit
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
 from types import FrameType
@@ -65,6 +65,26 @@ def precision_of(config: TrainingConfig) -> str:
     if config.precision != "auto":
         return config.precision
     return "bf16" if default_precision(device)[0] == "bf16" else "fp32"  # float16's gradients would want a scale
+
+
+def fixed_choices(config: TrainingConfig, provenance: Mapping[str, Any]) -> TrainingConfig:
+    """Settings whose number type and threads are those of a run's checkpoint where the settings leave them open.
+
+    The number type may rest on a measurement, and the threads on the cores that a process may use: neither may change
+    in the middle of a run, whose weights would be others. An ``OMP_NUM_THREADS`` is an order, and stands; another kind
+    of device takes what suits it.
+
+    Args:
+        config: The settings.
+        provenance: Of the checkpoint; empty where the run begins.
+    """
+    precision, threads, device = (provenance.get(name) for name in ("precision", "threads", "device_kind"))
+    choices: dict[str, Any] = {}
+    if config.precision == "auto" and precision in ("fp32", "bf16") and device in (None, kind_of_device(config)):
+        choices["precision"] = precision
+    if not config.threads and isinstance(threads, int) and threads > 0 and "OMP_NUM_THREADS" not in os.environ:
+        choices["threads"] = threads
+    return config.model_copy(update=choices)
 
 
 def kind_of_device(config: TrainingConfig) -> str:

@@ -1,6 +1,7 @@
-"""K-Radar's downloads in their archives' form: two sequences, one archive empty, one cut; kills at ten moments."""
+"""K-Radar's downloads in their archives' form: two sequences, one archive empty, one cut; signals at ten moments."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -15,8 +16,15 @@ from farfield.cli import main
 from farfield.datasets import open_dataset
 from farfield.datasets.downloads import content_of
 from farfield.datasets.kradar import KRadar, KRadarWriter
-from farfield.datasets.kradar.downloads import convert_downloads, find_downloads, unpacked_path
-from farfield.datasets.kradar.store import StoreSettings, convert_to_store
+from farfield.datasets.kradar.downloads import (
+    convert_downloads,
+    find_downloads,
+    plan_downloads,
+    stored_bytes,
+    unpacked_path,
+)
+from farfield.datasets.kradar.layout import product_path
+from farfield.datasets.kradar.store import StoreSettings, StoreTask, convert_to_store
 from farfield.errors import DatasetError
 from farfield.files.marks import mark_of
 
@@ -107,6 +115,32 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.parametrize("keep", [False, True])
+def test_the_disk_takes_what_was_announced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, keep: bool) -> None:
+    tree, store, peak = tmp_path / "tree", tmp_path / "store", [0]
+    folder = tree / "1" / "radar_zyx_cube"
+    folder.mkdir(parents=True)
+    for number in range(1, 9):
+        (folder / f"cube_{number:05d}.mat").write_bytes(bytes(3_000_000))
+    (tmp_path / "downloads").mkdir()
+    pack(tmp_path / "downloads" / "1_rt.zip", tree, ("1/radar_zyx_cube/*",))
+
+    def stored(task: StoreTask, target: Path, settings: StoreSettings) -> list[Path]:
+        """In place of the conversion: a file as large as one of cells, when all that is needed lies there."""
+        path = target / product_path("cells", task.sequence, task.index)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(bytes(int(stored_bytes(settings, task.source))))
+        peak[0] = max(peak[0], sum(file.stat().st_size for file in store.rglob("*") if file.is_file()))
+        return [path]
+
+    monkeypatch.setattr("farfield.datasets.kradar.downloads.convert_frame", stored)
+    monkeypatch.setattr("farfield.datasets.kradar.downloads.write_manifest", lambda *words: None)
+    read = find_downloads([tmp_path / "downloads"])
+    plan = plan_downloads(read, read.radar, StoreSettings(), workers=1, keep=keep)
+    assert convert_downloads(read, store, keep=keep).written == 8
+    assert abs(plan.peak_bytes - peak[0]) < 0.05 * peak[0]
+
+
 def contents(store: Path) -> dict[str, tuple[int, int]]:
     return {path.relative_to(store).as_posix(): mark_of(path) for path in store.glob("radar_cells/*/*")}
 
@@ -124,6 +158,9 @@ def test_a_store_of_the_archives_is_that_of_the_tree_and_opens_by_itself(tree: P
     assert "min" in said[1]
     convert_to_store(KRadar(tree), tmp_path / "plain", SETTINGS)
     assert contents(tmp_path / "store") == contents(tmp_path / "plain")
+    for path in contents(tmp_path / "store"):
+        size = (tmp_path / "store" / path).stat().st_size
+        assert abs(stored_bytes(SETTINGS, "polar3d") - size) < 0.2 * size, path
     assert not (tmp_path / "store" / "unpacked").exists()
     assert {path: (mark_of(path), path.stat().st_mtime_ns) for path in downloads.iterdir()} == marks
     data = open_dataset(tmp_path / "store")
@@ -153,8 +190,9 @@ def test_a_damaged_member_is_said_and_the_next_archive_mends_it(tree: Path, tmp_
 
 
 @pytest.mark.slow
-def test_ten_kills_lose_nothing_and_unpack_nothing_twice(tree: Path, tmp_path: Path) -> None:
+def test_ten_signals_lose_nothing_and_unpack_nothing_twice(tree: Path, tmp_path: Path) -> None:
     downloads, store = archives_of(tree, tmp_path / "downloads"), tmp_path / "store"
+    sources = {path: (mark_of(path), path.stat().st_mtime_ns) for path in downloads.iterdir()}
     command = [sys.executable, "-m", "farfield.cli", "convert", str(downloads), str(store), "--to", "radar-store",
                "--region", "narrow", "--workers", "1", "--keep"]  # fmt: skip
     frames = find_downloads([downloads]).radar
@@ -170,8 +208,8 @@ def test_ten_kills_lose_nothing_and_unpack_nothing_twice(tree: Path, tmp_path: P
             if begun:
                 break
             time.sleep(0.002)
-        running.kill()
-        running.wait()
+        running.send_signal((signal.SIGKILL, signal.SIGTERM)[moment % 2])
+        assert running.wait(60) in ((-signal.SIGKILL, 0), (128 + signal.SIGTERM, 0))[moment % 2]
         for radar in frames:
             path = unpacked_path(store, radar)
             if path.is_file():
@@ -182,6 +220,8 @@ def test_ten_kills_lose_nothing_and_unpack_nothing_twice(tree: Path, tmp_path: P
         assert (path.stat().st_ino, path.stat().st_mtime_ns) == state
     convert_to_store(KRadar(tree), tmp_path / "plain", SETTINGS)
     assert contents(store) == contents(tmp_path / "plain")
+    assert {path: (mark_of(path), path.stat().st_mtime_ns) for path in downloads.iterdir()} == sources
+    assert not [path for path in store.rglob("*") if path.suffix in (".part", ".lock") or "unfinished" in path.name]
     finished = find_downloads([downloads])
     assert convert_downloads(finished, store, SETTINGS).skipped == sum(FRAMES.values())
     assert not list(store.glob("unpacked/**/*.npy"))

@@ -34,8 +34,10 @@ from farfield.vocabulary.counts import count_of
 
 UNPACKED = "unpacked"
 """Folder of a store in which radar files lie between unpacking and deletion, or for good with ``keep``."""
-STORED_BYTES = {"cells": 329_000, "polar3d": 16_207_920}
-"""Bytes of a frame in a store, about: of cells of the wide region; of a polar map exactly."""
+CELLS_IN_VIEW = {"narrow": 102_966, "wide": 295_798, "cube": 7_732_075}
+"""Cells of each region that the radar's field of view holds."""
+_POLAR_BYTES = 16_207_920
+_CELL_BYTES, _DOPPLER_BYTES = 1.37, 1.59  # packed, of noise as simulated: power, and velocity besides
 _DELETED_AT = 4  # frames that are done before what they were unpacked to is deleted together
 _FILE = re.compile(r"(tesseract|cube|polar3d)_(\d{5})\.(mat|npy)")
 _NUMBERED = re.compile(r"0*([1-9]\d?)(?!\d)")
@@ -195,6 +197,20 @@ class ConvertDownload:
         return UnitResult(value={"fault": fault[:500]})
 
 
+def stored_bytes(settings: StoreSettings, source: str) -> float:
+    """Bytes of a frame in a store, about; at most, where a rate keeps the strongest cells of more than the region.
+
+    Args:
+        settings: What the store keeps.
+        source: Product that the frame is made of; cubes tell no velocity.
+    """
+    own = float(_POLAR_BYTES) if "polar3d" in settings.products and source == SOURCES[0] else 0.0
+    if "cells" in settings.products:
+        cells = CELLS_IN_VIEW[settings.region] * (settings.rate if settings.over == "region" else 1.0)
+        own += cells * (_CELL_BYTES + _DOPPLER_BYTES * (settings.doppler and source != "cube"))
+    return own
+
+
 def unpacked_path(target: Path, frame: RadarDownload) -> Path:
     """Where a frame's radar file is unpacked to: in K-Radar's own layout."""
     return target / UNPACKED / product_path(frame.source, frame.sequence, frame.index)
@@ -258,10 +274,11 @@ def plan_downloads(
         frame_seconds: Seconds for a frame, where measured.
     """
     sizes = [frame.members[0].bytes for frame in left]
-    own = sum(STORED_BYTES[name] for name in settings.products) if frame_bytes is None else frame_bytes
+    own = [stored_bytes(settings, frame.source) if frame_bytes is None else frame_bytes for frame in left]
     beside = sum(member.bytes for member in downloads.beside.values())
-    at_once = sum(sizes) if keep else sum(sorted(sizes)[-(workers + _DELETED_AT) :])
-    stored = own * len(left)
+    # as one more is unpacked by each worker, those wait that are done but not yet as many as are deleted together
+    at_once = sum(sizes) if keep else sum(sorted(sizes)[-(workers + _DELETED_AT - 1) :])
+    stored = sum(own)
     return DownloadPlan(
         frames=len(left),
         all_frames=len(downloads.radar),
@@ -338,10 +355,10 @@ def convert_downloads(
                 if running.here:
                     running.enter(number, running.work(running.unit(number)))
                 pending.append(running.unit(number))
-                clock.count(journal)
                 if len(pending) >= _DELETED_AT:
                     _delete_unpacked(target, journal, pending, keep)
                     pending.clear()
+                clock.count(journal)
             _delete_unpacked(target, journal, pending, keep)
         faults = [*downloads.faults, *_frame_faults(journal, units)]
         _remove_empty(target / UNPACKED)

@@ -10,9 +10,7 @@ from farfield.detectors.exporting.plans import BOUNDARIES
 from farfield.detectors.onnx.record import OnnxRecord
 
 
-def card_text(
-    record: OnnxRecord, provenance: Mapping[str, Any], parity: Sequence[CloudParity], *, size: int, seconds: float
-) -> str:
+def card_text(record: OnnxRecord, provenance: Mapping[str, Any], parity: Sequence[CloudParity], *, size: int) -> str:
     """The card in Markdown.
 
     Args:
@@ -20,7 +18,6 @@ def card_text(
         provenance: The record of the training.
         parity: How far file and network agree, by cloud.
         size: Bytes of the file.
-        seconds: How long the export took.
     """
     experiment = provenance.get("experiment") or {}
     data = experiment.get("data") or {}
@@ -36,7 +33,7 @@ def card_text(
     return f"""# {record.name}
 
 {record.network} ({record.detector}) of Farfield {record.farfield}, exported to ONNX opset {record.opset}, fp32,
-{size / 1e6:.1f} MB, in {seconds:.0f} s. SHA-256 of the weights: `{record.weights_sha256}`.
+{size / 1e6:.1f} MB. SHA-256 of the weights: `{record.weights_sha256}`.
 Made with {", ".join(f"{name} {version}" for name, version in record.made_with.items())}.
 
 ## Reads

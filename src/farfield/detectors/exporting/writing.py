@@ -107,7 +107,7 @@ def export(
         )
     write_bytes(path, data)
     card = path.with_suffix(".md")
-    write_text(card, card_text(record, detector.provenance, parity, size=len(data), seconds=seconds))
+    write_text(card, card_text(record, detector.provenance, parity, size=len(data)))
     return OnnxExport(path, card, parity, seconds, len(data))
 
 

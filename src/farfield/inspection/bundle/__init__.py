@@ -1,6 +1,8 @@
 """A bundle: what a data set is like, in one file without its data, for whoever helps from afar; and what it shows."""
 
 import json
+import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -41,7 +43,9 @@ _SHARED_FORMS = (
     "int",
     "uint",
 )  # which all files should have
-_RARE = 0.34
+_NUMBERS = re.compile(r"\d+")
+_RARE, _SERIES = 0.34, 4
+"""Share of files at most that are odd ones, and how many files make a series: of fewer all are kinds of their own."""
 
 
 def make_bundle(
@@ -204,10 +208,29 @@ def _of_files(bundle: Bundle) -> Iterator[Finding]:
             what = f"{count_of(len(odd), 'file')} of another size than most{records}: {', '.join(odd[:5])}"
             yield Finding(severity="warn", topic="size", what=what, where=where)
         usual = next((form for form in group.forms if form.form.startswith(_SHARED_FORMS)), None)
-        for form in group.forms:
+        for form in group.forms if group.looked_at >= _SERIES else ():
             if usual is not None and form != usual and form.files <= _RARE * group.looked_at and form.form != "damaged":
                 what = f"{form.examples[0] if form.examples else 'a file'}: {form.form}; most have {usual.form}"
                 yield Finding(severity="warn", topic="form", what=what, where=where)
+        yield from _of_widths(group, where)
+
+
+def _of_widths(group: FileGroup, where: str) -> Iterator[Finding]:
+    """Of texts: a few whose longest lines have another number of columns than those of most."""
+    widths = {
+        form.form: max(map(int, _NUMBERS.findall(form.form))) for form in group.forms if form.form[:9] == "lines of "
+    }
+    counts = Counter[int]()
+    for form in group.forms:
+        counts[widths.get(form.form, 0)] += form.files
+    usual, files = counts.most_common(1)[0] if counts else (0, 0)
+    if not usual or group.looked_at < _SERIES or files < (1 - _RARE) * group.looked_at:
+        return
+    for form in group.forms:
+        if (width := widths.get(form.form, usual)) != usual:
+            what = f"{form.examples[0] if form.examples else 'a file'}: lines of {count_of(width, 'column')}"
+            what += f"; most have lines of {count_of(usual, 'column')}"
+            yield Finding(severity="warn", topic="form", what=what, where=where)
 
 
 def _of_pairs(bundle: Bundle) -> Iterator[Finding]:
