@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from _report import MissingError, Part, part_parser, run_parts
+from _report import MissingError, Part, load_printed, part_parser, run_parts
 
 import farfield as ff
 from farfield.frame import Cloud
@@ -31,12 +31,16 @@ def rates(arguments: Sequence[str]) -> int:
     parser.add_argument("--points", type=int, default=60_000)
     parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 20.0])
     parser.add_argument("--detector", default=WEIGHTS)
+    parser.add_argument("--keep", type=Path, help="folder of exported files; a temporary one unless given")
     options = parser.parse_args(arguments)
     missed = 0
-    with tempfile.TemporaryDirectory() as folder:
+    with load_printed(), tempfile.TemporaryDirectory() as temporary:
         detectors = {"torch": ff.load_detector(options.detector)}
+        path = Path(options.keep or temporary) / f"{options.detector}.onnx"
         try:
-            detectors["onnxruntime"] = ff.load_detector(ff.export(options.detector, Path(folder) / "net.onnx").path)
+            if not path.exists():
+                ff.export(options.detector, path)
+            detectors["onnxruntime"] = ff.load_detector(path)
         except ff.FarfieldError as error:
             if not isinstance(error, ImportError):
                 raise
