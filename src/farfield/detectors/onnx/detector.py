@@ -301,7 +301,7 @@ def _session(path: Path, data: bytes, threads: int | None, optimised: bool) -> A
     options.intra_op_num_threads = threads or (int(own) if own.isdecimal() and int(own) else usable)
     options.inter_op_num_threads, options.enable_mem_pattern = 1, False
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # two processes would starve each other
-    options.log_severity_level = 3
+    options.log_severity_level = 4  # errors are raised, with their words
     if not optimised:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     try:
