@@ -102,7 +102,7 @@ def _one(name: str, weights: str | Path, data: Dataset, folder: Path) -> int:
     except ImportError as error:
         raise MissingError(str(error)) from error
     cpu_s = time.process_time() - before_s
-    print(f"{name}: {done.seconds:.0f} s, of CPU {cpu_s:.0f} s; {done.size / 1e6:.1f} MB")
+    print(f"{name}: {done.seconds:.0f} s, of CPU {cpu_s:.0f} s; {done.size / 1e6:.1f} MB", flush=True)
     plan, exported, rows = plan_detection(detector, data, in_own=True), OnnxDetector(done.path), list(done.parity)
     _, graph = plan_of(detector.network)
     for index in range(len(data)):
