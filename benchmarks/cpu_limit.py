@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import MissingError, Part, child_output, part_parser, run_parts
+from _report import MissingError, Part, child_output, load_printed, part_parser, run_parts
 from streaming import clouds
 
 import farfield as ff
@@ -36,17 +36,19 @@ def runtimes(arguments: Sequence[str]) -> int:
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--detectors", nargs="+", default=[*AIMS_MS])
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--keep", type=Path, help="folder of exported files; a temporary one unless given")
     parser.add_argument("--one", nargs=4, help="runtime, threads, weights, file: what the processes are told")
     options = parser.parse_args(arguments)
     if options.one:
         _timed(*options.one, points=options.points, repeats=options.repeats)
         return 0
     print(f"median ms of {options.repeats} frames of {options.points:,} points\n")
-    with tempfile.TemporaryDirectory() as folder:
+    with load_printed(), tempfile.TemporaryDirectory() as temporary:
         for weights in options.detectors:
-            path = Path(folder) / f"{weights}.onnx"
+            path = Path(options.keep or temporary) / f"{weights}.onnx"
             try:
-                ff.export(weights, path)
+                if not path.exists():
+                    ff.export(weights, path)
             except ImportError as error:
                 raise MissingError(str(error)) from error
             print(f"{weights}: aim {' and '.join(f'{aim:g}' for aim in AIMS_MS.get(weights, ()))} ms")

@@ -148,3 +148,68 @@ def test_metadata_hold_what_a_deployer_needs(
     needed = {"classes", "axes", "boxes", "units", "score_threshold", "nms_iou", "reach_m", "licence", "weights_sha256"}
     assert needed <= record.keys()
     assert record["units"]["x_m"] == "metres forward"
+
+
+def damaged(data: bytes) -> dict[str, tuple[bytes, str]]:
+    """Ten damages of an exported file, and what names each."""
+    import onnx
+    from onnx import helper, numpy_helper
+
+    def changed(change: Callable[[Any], object]) -> bytes:
+        model = onnx.load_model_from_string(data)
+        change(model)
+        return bytes(model.SerializeToString())
+
+    def weight(model: Any) -> Any:
+        return max(model.graph.initializer, key=lambda tensor: len(tensor.raw_data))
+
+    def elsewhere(model: Any) -> None:
+        tensor = weight(model)
+        onnx.external_data_helper.set_external_data(tensor, "../../etc/passwd")
+        tensor.ClearField("raw_data")
+
+    def filled(model: Any, value: float) -> None:
+        tensor = weight(model)
+        values = numpy_helper.to_array(tensor).copy()
+        values.flat[0] = value
+        tensor.CopyFrom(numpy_helper.from_array(values, tensor.name))
+
+    def narrower(model: Any) -> None:
+        tensor = weight(model)
+        tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor)[:-1].copy(), tensor.name))
+
+    def recorded(model: Any, **changes: Any) -> None:
+        (entry,) = [entry for entry in model.metadata_props if entry.key == "farfield"]
+        entry.value = json.dumps(json.loads(entry.value) | changes)
+
+    def first_side(model: Any) -> Any:
+        return model.graph.input[0].type.tensor_type.shape.dim[0]
+
+    foreign = helper.make_node("Read", [], ["b"], domain="com.example")
+    return {
+        "external data": (changed(elsewhere), "external data"),
+        "an operator of a domain": (changed(lambda model: model.graph.node.append(foreign)), "com.example"),
+        "a custom operator": (
+            changed(lambda model: model.graph.node.append(helper.make_node("Read", [], ["b"]))),
+            "Read",
+        ),
+        "no metadata": (changed(lambda model: model.ClearField("metadata_props")), "metadata"),
+        "metadata of another format": (changed(lambda model: recorded(model, format="other-9")), "metadata.*other-9"),
+        "metadata of another detector": (changed(lambda model: recorded(model, reading={"kind": "what"})), "metadata"),
+        "not a number": (changed(lambda model: filled(model, np.nan)), "nan in 1 of"),
+        "beyond all weights": (changed(lambda model: filled(model, 1e30)), "1e\\+30 in 1 of"),
+        "a weight of another shape": (changed(narrower), "a network that runs|does not run"),
+        "an input of a fixed size": (changed(lambda model: setattr(first_side(model), "dim_value", 7)), "input"),
+        "half a file": (data[: len(data) // 2], "bytes|model"),
+    }
+
+
+def test_damaged_exports_are_refused_by_name(
+    trained: Trained, exported: Callable[[Detector], writing.OnnxExport], scene: Frame, tmp_path: Path
+) -> None:
+    whole = exported(loaded(trained, "pointpillars")).path.read_bytes()
+    for name, (data, words) in damaged(whole).items():
+        path = tmp_path / f"{name}.onnx"
+        path.write_bytes(data)
+        with pytest.raises(FarfieldError, match=f"(?s){name}.onnx.*({words})"):
+            ff.load_detector(path)(scene.cloud())

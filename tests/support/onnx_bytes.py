@@ -78,9 +78,10 @@ def model(
     record: Any = RECORD,
     domains: tuple[str, ...] = ("",),
     more: bytes = b"",
+    graph: bytes = b"",
 ) -> bytes:
-    """A ModelProto; ``record`` None leaves the metadata out."""
-    graph = b"".join(field(1, part) for part in nodes) + b"".join(field(5, part) for part in tensors)
+    """A ModelProto; ``record`` None leaves the metadata out, ``graph`` holds more fields of the graph."""
+    graph += b"".join(field(1, part) for part in nodes) + b"".join(field(5, part) for part in tensors)
     graph += b"".join(field(11, _value(name, *spec)) for name, spec in inputs.items())
     graph += b"".join(field(12, _value(name, *spec)) for name, spec in outputs.items())
     out = field(1, 10) + field(7, graph)

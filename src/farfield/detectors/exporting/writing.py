@@ -196,8 +196,10 @@ def _onnx(graph: Graph, sample: dict[str, torch.Tensor]) -> bytes:
             opset_version=OPSET,
             external_data=False,
             verbose=False,
+            optimize=False,
         )
-    assert program is not None
+        assert program is not None
+        _simplify(program.model)
     model = program.model_proto
     for value in (*model.graph.input, *model.graph.output):
         del value.metadata_props[:]
@@ -214,6 +216,25 @@ def _onnx(graph: Graph, sample: dict[str, torch.Tensor]) -> bytes:
     model.producer_name = "farfield"
     onnx.checker.check_model(model, full_check=False)
     return bytes(model.SerializeToString())
+
+
+def _simplify(model: Any) -> None:
+    """Fold constants and drop what is not needed or stands twice.
+
+    The exporter's own optimiser also looks for some hundred patterns at each of thousands of operators, which takes
+    longer than all else of an export; onnxruntime fuses what can be fused when it loads the file.
+    """
+    from onnx_ir.passes import common
+    from onnxscript import optimizer
+
+    common.InlinePass()(model)
+    optimizer.fold_constants(model)
+    common.RemoveUnusedNodesPass()(model)
+    common.RemoveUnusedFunctionsPass()(model)
+    common.RemoveUnusedOpsetsPass()(model)
+    common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
+    common.DeduplicateInitializersPass()(model)
+    common.CommonSubexpressionEliminationPass()(model)
 
 
 def _with_record(data: bytes, record: OnnxRecord, provenance: Mapping[str, Any]) -> bytes:

@@ -196,7 +196,7 @@ class OnnxDetector(TrainedDetector):
         """Ask the network; an input of the other half of its graph that is not there has no rows.
 
         Raises:
-            FarfieldError: If it does not run, such as for want of memory.
+            FarfieldError: If it does not run, such as for want of memory, or gives other shapes than its record says.
         """
         feeds = {name: tensors[name] if name in tensors else _no_rows(spec) for name, spec in self._specs.items()}
         results = [*self.record.reading.results, *(["index"] if "index" in self._gives else [])]
@@ -204,7 +204,30 @@ class OnnxDetector(TrainedDetector):
             outputs = self._session.run(results, feeds)
         except Exception as error:  # onnxruntime's errors have no common base
             raise FarfieldError(f"{self.path}: the network does not run: {plain(error)[:300]}") from error
-        return dict(zip(results, outputs, strict=True))
+        named = dict(zip(results, outputs, strict=True))
+        self._check_shapes(tensors, named)
+        return named
+
+    def _check_shapes(self, tensors: Tensors, outputs: Tensors) -> None:
+        """See that outputs have the sides of their kinds, and rows that belong together are as many."""
+        rows: dict[str, int] = {}
+        for name, values in outputs.items():
+            kind, sides, together = _GIVEN[name]
+            expected = tuple(len(self.record.classes) if side == "classes" else side for side in sides)
+            count = len(values) if values.ndim else 0
+            if together in tensors:
+                rows.setdefault(together, len(tensors[together]))
+            if (
+                values.dtype.kind != kind
+                or values.ndim != len(expected) + 1
+                or any(side not in (None, own) for side, own in zip(expected, values.shape[1:], strict=True))
+                or rows.setdefault(together, count) != count
+            ):
+                shape = (rows.get(together, "n"), *("any" if side is None else side for side in expected))
+                words = f"{'integers' if kind == 'i' else 'numbers'} of shape ({', '.join(map(str, shape))})"
+                got = f"{values.dtype} of {values.shape}"
+                fix = "Export the detector anew: farfield export DETECTOR OUT.onnx"
+                raise FileFormatError(self.path, where=f"output {name}", expected=words, got=got, fix=fix)
 
     def finished(self, points: np.ndarray, candidates: DecodedBoxes) -> Boxes:
         """Scored boxes, best first: those above the threshold, after suppression, calibrated, of the chosen classes.
@@ -238,6 +261,22 @@ class OnnxDetector(TrainedDetector):
         return boxes if self.chosen is None else self.chosen(boxes)
 
 
+_GIVEN: Mapping[str, tuple[str, tuple[int | str | None, ...], str]] = {
+    "boxes": ("f", (7,), "boxes"),
+    "scores": ("f", (), "boxes"),
+    "labels": ("i", (), "boxes"),
+    "index": ("i", (), "boxes"),
+    "heat": ("f", ("classes",), "boxes"),
+    "confidence": ("f", ("classes",), "boxes"),
+    "votes": ("f", (3,), "heights"),
+    "map_out": ("f", (None,), "heights"),
+    "foreground": ("f", ("classes",), "xyz"),
+    "proposed": ("f", (7,), "xyz"),
+    "semantic_out": ("f", (None,), "xyz"),
+}
+"""What exported networks give: kind of number, sides after the first, and the input or output with as many rows."""
+
+
 def _within(name: str, value: float | None, own: float) -> float:
     if value is None:
         return own
@@ -262,7 +301,7 @@ def _session(path: Path, data: bytes, threads: int | None, optimised: bool) -> A
     options.intra_op_num_threads = threads or (int(own) if own.isdecimal() and int(own) else usable)
     options.inter_op_num_threads, options.enable_mem_pattern = 1, False
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # two processes would starve each other
-    options.log_severity_level = 3
+    options.log_severity_level = 4  # errors are raised, with their words
     if not optimised:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     try:
