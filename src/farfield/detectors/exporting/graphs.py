@@ -364,6 +364,7 @@ class RadarCellGraph(Graph):
             rows = start.scatter_reduce(0, inputs["row"][:, None].expand(-1, learned.shape[1]), learned, "amax")
         else:
             rows = linear(inputs["cells"])
+        rows = self.encoder.lift(rows)
         for number, (stage, collapse) in enumerate(self.backbone._branches(), 1):
             for layer in stage:
                 table = "around" if isinstance(cast(Any, layer).conv, SubmanifoldConv) else "strided"
