@@ -1,8 +1,8 @@
 """RTNH of K-Radar's kit: checkpoints of its layout with random numbers, and what its layers compute, densely.
 
 Written from the kit's source (models/pre_processor/rdr_sparse_processor.py, models/backbone_3d/rdr_sp_pw.py,
-models/head/rdr_spcube_head.py and anchor_head.py, configs/cfg_RTNH.yml and cfg_RTNH_wide.yml) as an oracle: nothing here
-uses the detectors under test. Maps run over z, y, x.
+models/head/rdr_spcube_head.py and anchor_head.py, configs/cfg_RTNH.yml and cfg_RTNH_wide.yml) as an oracle: nothing
+here uses the detectors under test. Maps run over z, y, x.
 """
 
 import math

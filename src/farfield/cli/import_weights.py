@@ -61,6 +61,7 @@ def run(
         "checkpoint": readable(checkpoint.name),
         "checkpoint_sha256": hashlib.sha256(checkpoint.read_bytes()).hexdigest(),
         "left_out": list(report.unknown),
+        **({"experiment": {"data": dict(report.data)}} if report.data else {}),
     }
     with held(out, file=True):
         save_weights(out, network.state_dict(), config=network.config, provenance=provenance)

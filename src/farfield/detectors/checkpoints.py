@@ -5,7 +5,7 @@ ignored for a stated reason, or an error.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -46,6 +46,7 @@ class ImportReport:
         ignored: Their key, and why it is not needed.
         unknown: Keys that the detector has no place for; not empty only where the caller allowed it.
         notes: What else differs.
+        data: The data that it reads, as an experiment names them; empty where that is not known.
     """
 
     origin: str
@@ -54,6 +55,7 @@ class ImportReport:
     ignored: dict[str, str]
     unknown: tuple[str, ...]
     notes: tuple[str, ...]
+    data: Mapping[str, Any] = field(default_factory=dict)
 
     def text(self, *, every_key: bool = False) -> str:
         """The report for people; ``every_key`` adds a line for each key that was used."""

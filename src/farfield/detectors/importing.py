@@ -105,7 +105,8 @@ def examine_checkpoint(path: Path) -> CheckpointFacts:
     try:
         _, report = import_checkpoint(path, kind)
     except FarfieldError as error:
-        return _facts(NAMES[kind], state, "import-weights would refuse it", str(error))
+        fault = str(error).removeprefix(f"{path}: ")
+        return _facts(NAMES[kind], state, "import-weights would refuse it", fault)
     used, ignored = count_of(len(report.mapped), "tensor"), len(report.ignored)
     fate = f"import-weights would use {used}, leave out {ignored} and miss none"
     return _facts(NAMES[kind], state, fate, notes=report.notes)

@@ -6,9 +6,10 @@ and thresholds are in no checkpoint: those of the configuration that it looks li
 """
 
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
@@ -39,6 +40,9 @@ ORIGIN = "K-Radar's kit"
 _MOST_STAGES = 6
 _WIDTHS = (64, 128, 256)  # ENCODING.CHANNEL of all three configurations
 _LAYERS = {round((high - low) / 0.4): name for name, (*_, low, high) in REGIONS_M.items()}  # along z, of 0.4 m
+_EDGE = (
+    "it also reads cells whose centres lie 0.2 m below the region's lower limits: our region narrow leaves them out",
+)
 _USUAL = {"input": (4, 5), "cell": (0, 32), "first": (64,), "widths": (_WIDTHS,), "neck": (256,), "classes": (1, 2)}
 _NOTES = (
     "no real checkpoint of the kit was seen: names, shapes and what each layer computes follow its source",
@@ -71,9 +75,14 @@ def import_rtnh(
     state = read_checkpoint(path)
     form, settings = kit_form(path, state), settings or {}
     config = config_of(path, "rtnh", {**_settings(path, form, settings), **settings})
-    options = {"ignore": _reason_to_ignore, "notes": (*_odd_sizes(form), *_NOTES), "allow_unknown": allow_unknown}
+    usual = _configuration(form)
+    taken = f"taken as {usual.path}, with {', '.join(config.class_names)}; kernels as spconv {form.layout} stores them"
+    notes = (taken, *_odd_sizes(form), *(() if config.first_cell == "at the limit" else _EDGE), *_NOTES)
+    options = {"ignore": _reason_to_ignore, "notes": notes, "allow_unknown": allow_unknown}
     faults = tuple(_faults(state, form))
-    return import_by_rules(path, state, config, kit_rules(form), origin=ORIGIN, problems=faults, **options)
+    network, report = import_by_rules(path, state, config, kit_rules(form), origin=ORIGIN, problems=faults, **options)
+    data = {"path": "K-Radar", "clouds": ["radar"], "options": {"reference": "radar", **usual.options}}
+    return network, replace(report, data=data)
 
 
 def is_rtnh(names: Collection[str]) -> bool:
@@ -227,6 +236,26 @@ def _settings(path: Path, form: KitForm, others: Mapping[str, Any]) -> dict[str,
             )
         settings["anchors"] = dict(list(usual.items())[: form.classes])
     return settings
+
+
+class _Configuration(NamedTuple):
+    """A configuration of the kit, and the options of K-Radar's data that it stands for."""
+
+    path: str
+    options: dict[str, Any]
+
+
+def _configuration(form: KitForm) -> _Configuration:
+    """The configuration of the kit that a checkpoint looks like.
+
+    RDR_CUBE's GENERATE_SPARSE_CUBE.PICK_RATE 0.1 of the corridor's cells, or rdr_sparse.dir rtnh_wider_1p_1.
+    """
+    if form.head == "softmax":
+        path = "none of the kit's: a softmax head behind a PointNet" if form.cell else "configs/cfg_RTNH.yml"
+        return _Configuration(path, {"radar_rate": 0.1, "radar_region": "narrow", "radar_over": "region"})
+    narrow = _LAYERS.get(form.depth) == "narrow"
+    path = "configs/v1_0/cfg_RTNH.yml" if narrow else "configs/cfg_RTNH_wide.yml"
+    return _Configuration(path, {"radar_rate": 0.01, "radar_region": "narrow" if narrow else "wide"})
 
 
 def _region(path: Path, form: KitForm) -> dict[str, float]:
