@@ -107,8 +107,8 @@ def import_openpcdet(
         raise ConfigError(f"{path}: expected keys of OpenPCDet's PointPillars or SECOND, got {shown}...")
     config = config_of(path, kind, {**KITTI_SETTINGS[kind], **architecture(kind, state), **(settings or {})})
     plan = rules(kind, config, state)
-    options = {"origin": "OpenPCDet", "ignore": _reason_to_ignore, "notes": _NOTES, "allow_unknown": allow_unknown}
-    return import_by_rules(path, state, config, plan, **options)
+    options: dict[str, Any] = {"ignore": _reason_to_ignore, "notes": _NOTES, "allow_unknown": allow_unknown}
+    return import_by_rules(path, state, config, plan, origin="OpenPCDet", **options)
 
 
 def recognise_openpcdet(names: Collection[str]) -> Kind | None:

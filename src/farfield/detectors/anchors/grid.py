@@ -117,8 +117,8 @@ class AnchorGrid:
 
     def styled(self, style: Literal["farfield", "openpcdet"]) -> "AnchorGrid":
         """The same grid with anchors in another style."""
-        size, low = {"nx": self.nx, "ny": self.ny}, {"x_min_m": self.x_min_m, "y_min_m": self.y_min_m}
-        return AnchorGrid(self.classes, **size, cell_m=self.cell_m, **low, style=style)
+        size, (x_m, y_m) = {"nx": self.nx, "ny": self.ny}, (self.x_min_m, self.y_min_m)
+        return AnchorGrid(self.classes, **size, cell_m=self.cell_m, x_min_m=x_m, y_min_m=y_m, style=style)
 
     def rows(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 7"]:
         """The anchors with these flat indices as x, y, z, l, w, h, yaw, shape (k, 7)."""

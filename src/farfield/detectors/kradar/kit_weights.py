@@ -43,7 +43,14 @@ _LAYERS = {round((high - low) / 0.4): name for name, (*_, low, high) in REGIONS_
 _EDGE = (
     "it also reads cells whose centres lie 0.2 m below the region's lower limits: our region narrow leaves them out",
 )
-_USUAL = {"input": (4, 5), "cell": (0, 32), "first": (64,), "widths": (_WIDTHS,), "neck": (256,), "classes": (1, 2)}
+_USUAL: dict[str, tuple[Any, ...]] = {
+    "input": (4, 5),
+    "cell": (0, 32),
+    "first": (64,),
+    "widths": (_WIDTHS,),
+    "neck": (256,),
+    "classes": (1, 2),
+}
 _NOTES = (
     "no real checkpoint of the kit was seen: names, shapes and what each layer computes follow its source",
     "not in a checkpoint, so as the kit's configuration has them: region, anchors, thresholds, the maximum as pooling",
@@ -78,7 +85,7 @@ def import_rtnh(
     usual = _configuration(form)
     taken = f"taken as {usual.path}, with {', '.join(config.class_names)}; kernels as spconv {form.layout} stores them"
     notes = (taken, *_odd_sizes(form), *(() if config.first_cell == "at the limit" else _EDGE), *_NOTES)
-    options = {"ignore": _reason_to_ignore, "notes": notes, "allow_unknown": allow_unknown}
+    options: dict[str, Any] = {"ignore": _reason_to_ignore, "notes": notes, "allow_unknown": allow_unknown}
     faults = tuple(_faults(state, form))
     network, report = import_by_rules(path, state, config, kit_rules(form), origin=ORIGIN, problems=faults, **options)
     data = {"path": "K-Radar", "clouds": ["radar"], "options": {"reference": "radar", **usual.options}}
@@ -100,7 +107,8 @@ def kit_form(path: Path, state: Mapping[str, Tensor]) -> KitForm:
     if not is_rtnh(state):
         shown = ", ".join(list(state)[:5])
         raise ConfigError(f"{path}: expected keys of RTNH as K-Radar's kit names them, got {shown}...")
-    stages = next(i for i in range(_MOST_STAGES + 1) if not any(k.startswith(f"backbone.spconv{i}.") for k in state))
+    numbers = range(_MOST_STAGES)
+    stages = next((i for i in numbers if not any(k.startswith(f"backbone.spconv{i}.") for k in state)), _MOST_STAGES)
     widths = tuple(_size(state, f"backbone.bn{i}.weight", 0, _WIDTHS[min(i, 2)]) for i in range(stages or len(_WIDTHS)))
     cell = "pre_processor.simplified_pointnet.weight"
     softmax = any(name.startswith("head.conv_reg.") for name in state)

@@ -300,9 +300,9 @@ class RadarDetector(MapDetector):
         """Make the head of the configuration's form, on a map of the raster's resolution."""
         config = self.config
         _, nx, ny = config.grid.shape(multiple)
-        x_m, y_m, _ = config.low_m
-        low = {"x_min_m": x_m, "y_min_m": config.grid.y_min_m(multiple) + y_m}
-        anchors = AnchorGrid(config.anchors, nx=nx, ny=ny, cell_m=config.grid.cell_m[0], **low)
+        cell_m, (x_m, y_m, _) = config.grid.cell_m[0], config.low_m
+        y_m += config.grid.y_min_m(multiple)
+        anchors = AnchorGrid(config.anchors, nx=nx, ny=ny, cell_m=cell_m, x_min_m=x_m, y_min_m=y_m)
         if config.form == "wide":
             self.head = AnchorHead(config, c_in, anchors)
         else:
