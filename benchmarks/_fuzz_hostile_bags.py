@@ -308,7 +308,7 @@ def _run_table() -> Any:
 
 def archives() -> dict[str, Attack]:
     """Checkpoints and imported weights that unpack to much, or hold the same bytes often."""
-    from farfield.detectors.openpcdet import read_checkpoint
+    from farfield.detectors.checkpoints import read_checkpoint
     from farfield.training.checkpoints import load_checkpoint
 
     return {

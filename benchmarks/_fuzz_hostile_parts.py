@@ -34,7 +34,7 @@ from farfield.datasets.calibration import read_calibration_file
 from farfield.datasets.class_mapping import read_class_mapping
 from farfield.datasets.kradar.products import read_radar
 from farfield.datasets.memory import CloudFiles
-from farfield.detectors.openpcdet import read_checkpoint
+from farfield.detectors.checkpoints import read_checkpoint
 from farfield.files import boxes_csv, images, npy
 from farfield.files.captures import datagrams
 from farfield.files.feather import read_feather

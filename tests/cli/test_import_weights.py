@@ -1,3 +1,4 @@
+import json
 import sys
 from pathlib import Path
 
@@ -8,8 +9,11 @@ torch = pytest.importorskip("torch")
 
 sys.path.append(str(Path(__file__).parents[1] / "detectors"))
 import their_forward as their
+from kit_rtnh import KitRTNH
 
+from farfield.api import load_detector
 from farfield.cli import main
+from farfield.datasets.recipes import recipe_of_provenance
 from farfield.detectors.weights import load_weights
 
 SETTINGS = """
@@ -70,3 +74,51 @@ def test_mistakes_are_told(home, capsys, arguments, message):
     assert main(["import-weights", *arguments]) == 1
     assert message in capsys.readouterr().err
     assert not Path("x.safetensors").exists()
+
+
+@pytest.fixture
+def kit_file(home):
+    torch.save(KitRTNH("wide", layers=24, widths=(6, 8, 10), neck=7, cell=5).saved(), "RTNH_wide_10.pt")
+    return "RTNH_wide_10.pt"
+
+
+def test_a_checkpoint_of_the_kit_detects_in_the_radar_s_coordinates(home, kit_file, rng, capsys):
+    assert main(["import-weights", kit_file, "wide.safetensors"]) == 0
+    shown = capsys.readouterr().out
+    assert "K-Radar's kit checkpoint as rtnh: 99 keys used, 15 ignored" in shown
+    assert "no real checkpoint of the kit was seen" in shown
+    network, provenance = load_weights(home / "wide.safetensors")
+    assert network.config.lifted_channels == 6
+    assert provenance["imported_from"] == "K-Radar's kit"
+    detector = load_detector("wide.safetensors", device="cpu")
+    assert (detector.reference, detector.learnt_clouds, detector.kind) == ("radar", ("radar",), "radar")
+    assert recipe_of_provenance(provenance)["maps"]
+
+
+def test_doctor_says_what_weights_are(home, kit_file, capsys):
+    assert main(["import-weights", "theirs.pth", "ours.safetensors", "--settings", "mine.yaml"]) == 0
+    torch.save({"conv1.weight": torch.zeros(3)}, "other.pt")
+    Path("damaged.pth").write_bytes(b"PK")
+    capsys.readouterr()
+    for name, status, words in (
+        (kit_file, 0, ["RTNH of K-Radar's kit", "114 tensors", "would use 99 tensors, leave out 15 and miss none"]),
+        ("theirs.pth", 0, ["OpenPCDet's PointPillars", "would use 61 tensors, leave out 12 and miss none"]),
+        ("ours.safetensors", 0, ["pointpillars of Farfield, for vehicle, pedestrian, bicycle", "nothing to import"]),
+        ("other.pt", 1, ["unknown", "1 tensor with 3 numbers", "Weights that are read"]),
+        ("damaged.pth", 1, ["an archive that cannot be opened"]),
+    ):
+        assert main(["doctor", name]) == status, name
+        shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert all(part in shown for part in words), (name, shown)
+
+
+def test_doctor_lists_what_a_checkpoint_lacks(home, capsys):
+    state = KitRTNH("published", layers=20, widths=(6, 8, 10), neck=7).saved()
+    del state["backbone.bn1a.weight"]
+    torch.save(state, "cut.pt")
+    assert main(["doctor", "cut.pt", "--json", "-"]) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["facts"]["what"] == "RTNH of K-Radar's kit"
+    assert report["facts"]["parts"] == {"backbone": 106, "head": 4}
+    assert "missing: backbone.bn1a.weight" in report["facts"]["fault"]
+    assert "cut.pt" not in report["facts"]["fault"]

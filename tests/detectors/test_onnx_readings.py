@@ -1,12 +1,15 @@
 """What exported networks read, prepared in numpy: the same as the encoders of the detectors prepare in PyTorch."""
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from small import small_detector
 
+from farfield.detectors.exporting.plans import plan_of
+from farfield.detectors.kradar.radar_detector import located
 from farfield.detectors.onnx import points as in_numpy
 from farfield.detectors.onnx.cells import neighbour_table, strided_table
 from farfield.detectors.onnx.readings import SecondReading
@@ -116,3 +119,29 @@ def test_points_of_proposals_are_those_of_torch(rng: np.random.Generator) -> Non
     centre, near = in_numpy.ball_query_of_groups(local, roi, chosen.numpy(), 0.8, 6)
     assert np.array_equal(centre, group.centre.numpy())
     assert np.array_equal(near, group.point.numpy())
+
+
+@pytest.mark.parametrize("form", ["published", "wide"])
+def test_a_graph_reads_cells_below_the_limits_and_lifts_them_as_the_network_does(
+    form: str, rng: np.random.Generator
+) -> None:
+    options = {"lifted_channels": 6} if form == "wide" else {"first_cell": "before it"}
+    network = small_detector("rtnh", form=form, **options).eval()
+    reading, graph = plan_of(network)
+    grid = network.config.grid
+    low, high = (-1.0, -grid.half_width_m - 1, grid.z_min_m - 1), (grid.range_m, grid.half_width_m, grid.z_max_m)
+    columns = len(network.config.columns) - 3
+    points = np.concatenate([rng.uniform(low, high, (500, 3)), rng.uniform(0, 2, (500, columns))], 1).astype(np.float32)
+    inputs = {name: torch.from_numpy(np.asarray(value)) for name, value in reading.inputs(points).items()}
+    expected = network.encoder([torch.from_numpy(points)])
+    assert reading.located(points)[1].tolist() == located_keys(network, points)
+    rows = graph.cell_rows(inputs)
+    torch.testing.assert_close(rows, expected.features)
+    assert rows.shape[1] == network.encoder.channels
+
+
+def located_keys(network: Any, points: np.ndarray) -> list[int]:
+    """The cells of the points that lie on the raster of a network."""
+    encoder = network.encoder
+    _, keys = located([torch.from_numpy(points)], encoder.grid, encoder.multiple, encoder.low_m)
+    return list(map(int, keys))

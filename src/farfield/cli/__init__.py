@@ -46,7 +46,7 @@ GROUPS = {
         "train": "train a detector: a shipped experiment or one YAML file; resumes by itself",
         "adapt": "adapt a detector to your own unlabelled sweeps; resumes by itself",
         "reproduce": "put a paper's tables to the test: a grid of trainings, decisions, one page",
-        "import-weights": "turn an OpenPCDet checkpoint into a weights file",
+        "import-weights": "turn a checkpoint of OpenPCDet or K-Radar's kit into a weights file",
         "export": "write a trained detector as an ONNX file that runs without torch",
     },
     "detect and score": {

@@ -11,7 +11,9 @@ from farfield.cli._output import OUTPUT, check_outputs, console, write_json
 if TYPE_CHECKING:
     from farfield.datasets import Dataset
     from farfield.inspection.doctor import DoctorReport
+    from farfield.inspection.doctor.survey import Severity
 
+_WEIGHTS = (".pt", ".pth", ".ckpt", ".safetensors")
 _COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 
 
@@ -39,12 +41,14 @@ def run(
       farfield doctor K-Radar --bundle kradar.json --mask
       farfield doctor kradar.json
       farfield doctor K-Radar/1/radar_tesseract/tesseract_00033.mat
+      farfield doctor RTNH_wide_10.pt
 
     Exit status 1 when training would fail or score zero, or no reader takes the one file.
 
     Args:
         path: Folder of the data set, whose format is recognised; one file, to see what the readers make of it and which
-            expectation fails; or a bundle, which is read back.
+            expectation fails; weights (.pt, .pth, .ckpt, .safetensors), to see whose they are and what import-weights
+            would do with them; or a bundle, which is read back.
         reading: How the files are read.
         format: Format, if it is not to be recognised: cirrus, kitti, view_of_delft, kitti_tracking, argoverse2, kradar,
             radiate or folder.
@@ -92,6 +96,8 @@ def _of_file(path: Path) -> "DoctorReport":
     from farfield.inspection.doctor import DoctorReport
     from farfield.inspection.single_file import examine_file
 
+    if path.suffix.lower() in _WEIGHTS:
+        return _of_weights(path)
     if path.suffix.lower() != ".json" or not is_bundle(path):
         return examine_file(path)
     read = read_bundle(path)
@@ -102,6 +108,43 @@ def _of_file(path: Path) -> "DoctorReport":
         findings=bundle_findings(read),
         facts=facts,
     )
+
+
+def _of_weights(path: Path) -> "DoctorReport":
+    """Whose network a file of weights is, and what would become of it."""
+    import dataclasses
+
+    from farfield.detectors import DETECTORS
+    from farfield.errors import FarfieldError
+    from farfield.files.sizes import sized
+    from farfield.inspection.doctor import DoctorReport, Finding
+    from farfield.vocabulary.counts import count_of
+
+    _ = DETECTORS["rtnh"].network_class  # without torch, says how to install it
+    from farfield.detectors.importing import NAMES, examine_checkpoint
+
+    findings = [Finding(severity="ok", topic="file", what=sized(path.stat().st_size))]
+    try:
+        facts = examine_checkpoint(path)
+    except FarfieldError as error:
+        findings.append(Finding(severity="fail", topic="weights", what=str(error)))
+        return DoctorReport(path=str(path), format="one file", findings=tuple(findings), facts={"read_as": []})
+    parts = ", ".join(f"{name} {count}" for name, count in list(facts.parts.items())[:12])
+    tensors = f"{count_of(facts.tensors, 'tensor')} with {count_of(facts.numbers, 'number', spec=',')} in all: {parts}"
+    readable = f"Weights that are read: Farfield's, {', '.join(NAMES.values())}."
+    settings = "--settings names another training's grid and anchors, --allow-unknown leaves keys out."
+    fix = readable if facts.what == "unknown" else settings
+    fate = f"{facts.fate}: {facts.fault}" if facts.fault else facts.fate
+    worst: Severity = "fail" if facts.fault else "ok"
+    findings += [
+        Finding(severity="fail" if facts.what == "unknown" else "ok", topic="weights", what=facts.what),
+        Finding(severity="ok", topic="tensors", what=tensors),
+        Finding(severity=worst, topic="import", what=fate, fix=fix if facts.fault else ""),
+        *(Finding(severity="ok", topic="note", what=note) for note in facts.notes),
+    ]
+    read_as = [] if facts.fault else [facts.what]
+    report = dataclasses.asdict(facts) | {"read_as": read_as}
+    return DoctorReport(path=str(path), format="one file", findings=tuple(findings), facts=report)
 
 
 def _of_downloads(path: Path, further: tuple[Path, ...]) -> "DoctorReport | None":

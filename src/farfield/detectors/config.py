@@ -118,8 +118,8 @@ class DetectorConfig(PlainSettings, ABC):
         return {name: value for name, value in values.items() if name not in unset}
 
 
-LATE_SETTINGS = ("full_points", "score_bands")
-"""Settings of every detector that came after weights had been trained without them."""
+LATE_SETTINGS = ("full_points", "score_bands", "first_cell", "lifted_channels")
+"""Settings that came after weights had been trained without them."""
 
 
 def _default(settings: BaseModel, name: str) -> Any:

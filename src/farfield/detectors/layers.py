@@ -77,14 +77,26 @@ class Upsampling(nn.Module):
     @classmethod
     def of(cls, layer: nn.ConvTranspose2d) -> "Upsampling":
         """The same function as a transposed convolution that :meth:`fits`."""
-        stride, width = layer.stride[0], layer.kernel_size[0] // layer.stride[0]
-        upsampling = cls(layer.in_channels, layer.out_channels, stride, overlap=width == 3)
-        # input cell i reaches output cell stride * (i - padding) + k: kernel element k = stride * (reach - 1 - d) + row
-        parts = layer.weight.detach().unflatten(3, (width, stride)).unflatten(2, (width, stride)).flip(2, 4)
-        upsampling.conv.weight = nn.Parameter(parts.permute(3, 5, 1, 0, 2, 4).flatten(0, 2).contiguous())
+        stride = layer.stride[0]
+        overlap = layer.kernel_size[0] == 3 * stride
+        upsampling = cls(layer.in_channels, layer.out_channels, stride, overlap=overlap)
+        upsampling.conv.weight = nn.Parameter(cls.kernel_of(layer.weight.detach(), stride))
         if layer.bias is not None:
             upsampling.conv.bias = nn.Parameter(layer.bias.detach().repeat(stride**2))
         return upsampling.to(layer.weight.device)
+
+    @staticmethod
+    def kernel_of(kernel: Tensor, stride: int) -> Tensor:
+        """The convolution's kernel, (c_out * stride^2, c_in, w, w), of a transposed one's, (c_in, c_out, k, k).
+
+        Args:
+            kernel: Its sides are ``stride`` or three times as long.
+            stride: Of the transposed convolution.
+        """
+        width = kernel.shape[2] // stride
+        # input cell i reaches output cell stride * (i - padding) + k: kernel element k = stride * (reach - 1 - d) + row
+        parts = kernel.unflatten(3, (width, stride)).unflatten(2, (width, stride)).flip(2, 4)
+        return parts.permute(3, 5, 1, 0, 2, 4).flatten(0, 2).contiguous()
 
     @staticmethod
     def fits(layer: nn.Module) -> TypeGuard[nn.ConvTranspose2d]:

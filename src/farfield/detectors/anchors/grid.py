@@ -83,6 +83,7 @@ class AnchorGrid:
         ny: Cells along y.
         cell_m: Edge length of a cell.
         y_min_m: Right edge of the grid.
+        x_min_m: Near edge of the grid.
         style: ``"farfield"``: anchors at the centres of cells, and directions that count from the anchor's heading.
             ``"openpcdet"``: anchors spread from edge to edge, at 0 and 1.57 rad, and directions that count from a
             fixed heading of 0.78539 rad: what imported weights expect.
@@ -96,18 +97,19 @@ class AnchorGrid:
         ny: int,
         cell_m: float,
         y_min_m: float,
+        x_min_m: float = 0.0,
         style: Literal["farfield", "openpcdet"] = "farfield",
     ) -> None:
         self.classes, self.names, self.style = classes, tuple(classes), style
         self.sizes_m = np.array([anchor.size_m for anchor in classes.values()], dtype=np.float64)
         self.z_m = np.array([anchor.z_m for anchor in classes.values()], dtype=np.float64)
-        self.nx, self.ny, self.cell_m, self.y_min_m = nx, ny, cell_m, y_min_m
+        self.nx, self.ny, self.cell_m, self.x_min_m, self.y_min_m = nx, ny, cell_m, x_min_m, y_min_m
         self.per_cell = 2 * len(self.names)
         if style == "farfield":
             self.headings_rad, self.step_m = HEADINGS_RAD, np.array([cell_m, cell_m])
-            self.first_m = np.array([cell_m / 2, y_min_m + cell_m / 2])
+            self.first_m = np.array([x_min_m + cell_m / 2, y_min_m + cell_m / 2])
         else:
-            self.headings_rad, self.first_m = np.array([0.0, 1.57]), np.array([0.0, y_min_m])
+            self.headings_rad, self.first_m = np.array([0.0, 1.57]), np.array([x_min_m, y_min_m])
             self.step_m = cell_m * np.array([nx / max(nx - 1, 1), ny / max(ny - 1, 1)])
 
     def __len__(self) -> int:
@@ -115,8 +117,8 @@ class AnchorGrid:
 
     def styled(self, style: Literal["farfield", "openpcdet"]) -> "AnchorGrid":
         """The same grid with anchors in another style."""
-        size = {"nx": self.nx, "ny": self.ny}
-        return AnchorGrid(self.classes, **size, cell_m=self.cell_m, y_min_m=self.y_min_m, style=style)
+        size, (x_m, y_m) = {"nx": self.nx, "ny": self.ny}, (self.x_min_m, self.y_min_m)
+        return AnchorGrid(self.classes, **size, cell_m=self.cell_m, x_min_m=x_m, y_min_m=y_m, style=style)
 
     def rows(self, index: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k 7"]:
         """The anchors with these flat indices as x, y, z, l, w, h, yaw, shape (k, 7)."""

@@ -357,13 +357,7 @@ class RadarCellGraph(Graph):
 
     def named(self, inputs: Mapping[str, Tensor]) -> Outputs:
         """See :class:`~farfield.detectors.onnx.readings.RadarCellReading`."""
-        linear, number, maps = self.encoder.linear, 0, []
-        if "points" in inputs:
-            learned = linear(inputs["points"])
-            start = torch.where(inputs["padded"], 0.0, LEAST)[:, None].expand(-1, learned.shape[1])
-            rows = start.scatter_reduce(0, inputs["row"][:, None].expand(-1, learned.shape[1]), learned, "amax")
-        else:
-            rows = linear(inputs["cells"])
+        rows, maps = self.cell_rows(inputs), []
         for number, (stage, collapse) in enumerate(self.backbone._branches(), 1):
             for layer in stage:
                 table = "around" if isinstance(cast(Any, layer).conv, SubmanifoldConv) else "strided"
@@ -372,3 +366,14 @@ class RadarCellGraph(Graph):
             _, nx, ny = self.shapes[number - 1]
             maps.append(image_of(column, inputs[f"place_{number}"], nx * ny, (nx, ny, column.shape[1])))
         return cast(Outputs, self.head(self.backbone.neck(maps)))
+
+    def cell_rows(self, inputs: Mapping[str, Tensor]) -> Tensor:
+        """Learned features of the occupied cells, one row each."""
+        linear = self.encoder.linear
+        if "points" in inputs:
+            learned = linear(inputs["points"])
+            start = torch.where(inputs["padded"], 0.0, LEAST)[:, None].expand(-1, learned.shape[1])
+            rows = start.scatter_reduce(0, inputs["row"][:, None].expand(-1, learned.shape[1]), learned, "amax")
+        else:
+            rows = linear(inputs["cells"])
+        return cast(Tensor, self.encoder.lift(rows))

@@ -143,7 +143,11 @@ def _voxelnet(network: VoxelNet) -> tuple[Reading, Graph]:
 def _rtn(network: RTN) -> tuple[Reading, Graph]:
     config = network.config
     reading = RadarMapReading(
-        columns=config.columns, grid=_plain(config.grid), multiple=network.multiple, log_power=config.power == "log"
+        columns=config.columns,
+        grid=_plain(config.grid),
+        multiple=network.multiple,
+        low_m=config.low_m,
+        log_power=config.power == "log",
     )
     return reading, RadarMapGraph(network)
 
@@ -156,6 +160,7 @@ def _rtnh(network: RTNH) -> tuple[Reading, Graph]:
         columns=config.columns,
         grid=_plain(config.grid),
         multiple=encoder.multiple,
+        low_m=encoder.low_m,
         log_power=encoder.log_power,
         max_points=encoder.max_points,
         unit_positions=encoder.unit_positions,

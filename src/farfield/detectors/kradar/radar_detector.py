@@ -19,6 +19,8 @@ from farfield.detectors.sparse import SparseTensor
 from farfield.detectors.voxels import first_points, voxel_keys
 from farfield.vocabulary.kradar import REGIONS_M
 
+Position = tuple[float, float, float]
+
 # Radar clouds on their own raster: every point is a cell of 0.4 m, so a cloud is a sparse cube of power.
 
 POWER, DOPPLER = "power", "doppler_m_s"
@@ -67,10 +69,20 @@ def in_unit_grid(points: Tensor, grid: VoxelGridConfig) -> Tensor:
     return torch.cat([(points[:, :3] - low) / (high - low) * 2 - 1, points[:, 3:]], 1)
 
 
-def located(clouds: Sequence[Tensor], grid: VoxelGridConfig, multiple: int) -> tuple[Tensor, Tensor]:
-    """The points of a batch that lie on the raster, shape (n, c), and the cell of each, shape (n,), int64."""
+def located(
+    clouds: Sequence[Tensor], grid: VoxelGridConfig, multiple: int, low_m: Position = (0.0, 0.0, 0.0)
+) -> tuple[Tensor, Tensor]:
+    """The points of a batch that lie on the raster, shape (n, c), and the cell of each, shape (n,), int64.
+
+    Args:
+        clouds: The points of each frame, x, y and z (metres) first.
+        grid: The raster.
+        multiple: The network's coarsest stride.
+        low_m: How far beyond the grid's lower limits the raster begins along x, y and z: not above 0.
+    """
     points, batch = stacked(clouds)
-    rows, key = voxel_keys(points, batch, grid, multiple)
+    moved = points if low_m == (0.0, 0.0, 0.0) else points[:, :3] - points.new_tensor(low_m)
+    rows, key = voxel_keys(moved, batch, grid, multiple)
     return points[rows], key
 
 
@@ -101,6 +113,8 @@ class CellEncoder(nn.Module):
         max_points: 0 for RTNH as published: position and power through one 1 x 1 x 1 convolution. Otherwise the
             "simplified PointNet" of its wide form: a linear layer and the maximum over the first so many points of a
             cell, where missing points count as zeros.
+        lifted: Features that a second linear layer makes of a cell's, as the kit's wide form does; 0: there is none.
+        low_m: How far beyond the grid's lower limits the raster begins along x, y and z.
         log_power: Read the logarithm of the power.
         unit_positions: Read positions as shares of the grid, -1 to 1, instead of metres.
     """
@@ -113,19 +127,23 @@ class CellEncoder(nn.Module):
         multiple: int,
         channels: int,
         max_points: int = 0,
+        lifted: int = 0,
+        low_m: Position = (0.0, 0.0, 0.0),
         log_power: bool = False,
         unit_positions: bool = False,
     ) -> None:
         super().__init__()
-        self.grid, self.multiple, self.max_points = grid, multiple, max_points
+        self.grid, self.multiple, self.max_points, self.low_m = grid, multiple, max_points, low_m
         self.log_power, self.unit_positions = log_power, unit_positions
         self.columns = tuple(columns)
         self.linear = nn.Linear(len(self.columns), channels, bias=max_points == 0)
+        self.lift = nn.Linear(channels, lifted) if lifted else nn.Identity()
+        self.channels = lifted or channels
 
     def forward(self, clouds: Sequence[Tensor]) -> SparseTensor:
         """Encode the points of each frame, shape (n, columns), in float32."""
         shape = self.grid.shape(self.multiple)
-        points, key = located(clouds, self.grid, self.multiple)
+        points, key = located(clouds, self.grid, self.multiple, self.low_m)
         points = in_unit_grid(points, self.grid) if self.unit_positions else points
         features = scaled_power(points, self.columns, log=self.log_power)
         cells = len(clouds) * shape[0] * shape[1] * shape[2]
@@ -136,6 +154,7 @@ class CellEncoder(nn.Module):
                 table, count = cell_table(features, key, cells)
                 keys = count.nonzero().squeeze(1)
                 pooled = self.linear(table.index_select(0, keys))
+            pooled = self.lift(pooled)
         return SparseTensor(pooled, keys, shape, len(clouds))
 
     def _pooled(self, features: Tensor, key: Tensor, cells: int) -> tuple[Tensor, Tensor]:
@@ -207,6 +226,10 @@ class RadarDetectorConfig(AnchorHeadConfig):
     use_doppler: bool = Field(False, description="also read the cells' Doppler")
     use_flags: bool = Field(False, description="also read whether Doppler and height are known: several radars")
     neck_width: int = Field(256, ge=1, le=4096, description="channels that each stage gives to the bird's-eye map")
+    first_cell: Literal["at the limit", "before it"] = Field(
+        "at the limit",
+        description="before it: the raster begins and ends a cell before the grid's limits, as the kit numbers cells",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -221,6 +244,14 @@ class RadarDetectorConfig(AnchorHeadConfig):
         if self.grid.cell_m[0] != self.grid.cell_m[1]:
             raise ValueError(f"expected cells as long as wide, got {self.grid.cell_m}: the anchors' cells are square")
         return self
+
+    @property
+    def low_m(self) -> Position:
+        """How far beyond the grid's lower limits the raster begins along x, y and z: 0, or a cell below it."""
+        if self.first_cell == "at the limit":
+            return 0.0, 0.0, 0.0
+        dx, dy, dz = self.grid.cell_m
+        return -dx, -dy, -dz
 
     @property
     def reach_m(self) -> float:
@@ -269,8 +300,9 @@ class RadarDetector(MapDetector):
         """Make the head of the configuration's form, on a map of the raster's resolution."""
         config = self.config
         _, nx, ny = config.grid.shape(multiple)
-        cell_m, y_min_m = config.grid.cell_m[0], config.grid.y_min_m(multiple)
-        anchors = AnchorGrid(config.anchors, nx=nx, ny=ny, cell_m=cell_m, y_min_m=y_min_m)
+        cell_m, (x_m, y_m, _) = config.grid.cell_m[0], config.low_m
+        y_m += config.grid.y_min_m(multiple)
+        anchors = AnchorGrid(config.anchors, nx=nx, ny=ny, cell_m=cell_m, x_min_m=x_m, y_min_m=y_m)
         if config.form == "wide":
             self.head = AnchorHead(config, c_in, anchors)
         else:
@@ -280,4 +312,4 @@ class RadarDetector(MapDetector):
     def on_raster(self, values: Tensor) -> FeatureMap:
         """The trunk's map, shape (b, c, nx, ny), with its place."""
         grid = self.head.anchors
-        return FeatureMap(values=values, cell_m=grid.cell_m, origin_m=(0.0, grid.y_min_m))
+        return FeatureMap(values=values, cell_m=grid.cell_m, origin_m=(grid.x_min_m, grid.y_min_m))

@@ -101,7 +101,7 @@ class RTN(RadarDetector):
         """Power (and Doppler) of every cell, zero where none is known, layers of height as channels, (b, c, nx, ny)."""
         config = self.config
         depth, nx, ny = config.grid.shape(self.multiple)
-        points, key = located(clouds, config.grid, self.multiple)
+        points, key = located(clouds, config.grid, self.multiple, config.low_m)
         values = scaled_power(points, config.columns, log=config.power == "log")[:, self.read]
         table, _ = cell_table(values, key, len(clouds) * depth * nx * ny)
         image = table.view(len(clouds), depth, nx, ny, len(self.read))

@@ -4,7 +4,9 @@ The strongest cells of the radar's Cartesian cube -> sparse 3D convolutions at t
 its height and brought to one bird's-eye map -> head -> rotated NMS. ``form: published`` is ``cfg_RTNH.yml`` of the
 paper's benchmark; ``form: wide`` is the current one, ``cfg_RTNH_wide.yml``. Differences from the released code: all
 boxes of a frame keep the cells assigned to them, frames without boxes teach background, there is no limit on the
-number of cells, and convolutions that a normalisation follows have no bias, which it would cancel.
+number of cells, and convolutions that a normalisation follows have no bias, which it would cancel. Two differences
+are settings, and imported checkpoints of the kit set them: its wide form has a second linear layer on each cell
+(``lifted_channels: 64``), and its first form numbers cells from one below the limits (``first_cell: before it``).
 """
 
 import dataclasses
@@ -42,6 +44,9 @@ class RTNHConfig(RadarDetectorConfig):
     )
     positions: Literal["metres", "unit"] = Field("metres", description="unit: as shares of the grid, -1 to 1")
     cell_channels: Channels = Field(64, description="channels of the first layer of cells")
+    lifted_channels: Annotated[int, Field(ge=0, le=4096)] = Field(
+        0, description="channels of a second linear layer on each cell, 64 in the kit's wide form; 0: there is none"
+    )
     widths: tuple[Channels, ...] = Field(
         (64, 128, 256), min_length=1, max_length=6, description="channels of each block"
     )
@@ -63,11 +68,13 @@ class RTNH(RadarDetector):
             multiple=multiple,
             channels=config.cell_channels,
             max_points=config.max_points,
+            lifted=config.lifted_channels,
+            low_m=config.low_m,
             log_power=config.power == "log",
             unit_positions=config.positions == "unit",
         )
         self.backbone = RadarBackbone(
-            config.cell_channels,
+            self.encoder.channels,
             widths=config.widths,
             neck_width=config.neck_width,
             depth=config.grid.shape(multiple)[0],

@@ -36,6 +36,7 @@ _MOST_LAYERS = 1000
 
 Size = Annotated[int, Field(ge=1, le=16)]
 Padding = Annotated[int, Field(ge=0, le=16)]
+Lower = Annotated[float, Field(ge=-1000, le=0)]
 
 
 class DecodedBoxes(NamedTuple):
@@ -174,11 +175,16 @@ class VoxelReading(Reading, ABC):
     def located(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The points inside the grid and the voxel of each, numbered ``(iz * nx + ix) * ny + iy``."""
         (depth, nx, ny), (dx, dy, dz), grid = self.shape, self.grid.cell_m, self.grid
-        ix, iy = np.floor(points[:, 0] / dx), np.floor((points[:, 1] - grid.y_min_m(self.multiple)) / dy)
-        iz = np.floor((points[:, 2] - grid.z_min_m) / dz)
+        x_m, y_m, z_m = self.from_limits(points).T
+        ix, iy = np.floor(x_m / dx), np.floor((y_m - grid.y_min_m(self.multiple)) / dy)
+        iz = np.floor((z_m - grid.z_min_m) / dz)
         inside = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny) & (iz >= 0) & (iz < depth - grid.extra_layers)
         z, x, y = (index[inside].astype(np.int64) for index in (iz, ix, iy))
         return points[inside], (z * nx + x) * ny + y
+
+    def from_limits(self, points: np.ndarray) -> np.ndarray:
+        """x, y and z of the points as the grid's limits count them, shape (n, 3)."""
+        return points[:, :3]
 
     def centres_m(self, keys: Int[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3"]:
         """x, y and z of voxels in metres."""
@@ -320,9 +326,19 @@ def _hash(points: np.ndarray) -> np.ndarray:
 
 
 class RadarReading(VoxelReading, ABC):
-    """Radar points on their raster, power first among the columns behind the position."""
+    """Radar points on their raster, power first among the columns behind the position.
 
+    Attributes:
+        low_m: How far beyond the grid's lower limits the raster begins along x, y and z: 0, or a cell below it.
+        log_power: Read the logarithm of the power.
+    """
+
+    low_m: tuple[Lower, Lower, Lower] = (0.0, 0.0, 0.0)
     log_power: bool = False
+
+    def from_limits(self, points: np.ndarray) -> np.ndarray:
+        """As of any voxels, on a raster that may begin below the grid's limits."""
+        return points[:, :3] - np.array(self.low_m, dtype=np.float32)
 
     def scaled(self, points: np.ndarray) -> np.ndarray:
         """The points with their power as it is, or as its logarithm."""
