@@ -151,7 +151,7 @@ def frame_order(key: Key) -> tuple[str, int, int, str]:
     return (sequence, 0, int(frame), frame) if number else (sequence, 1, 0, frame)
 
 
-def frames_in_order(predictions: BoxesByFrame, annotations: BoxesByFrame, ties: str) -> list[Key]:
+def frames_in_order(predictions: BoxesByFrame, annotations: Mapping[Key, object], ties: str) -> list[Key]:
     """The annotated frames in the order that decides between equal scores of several frames.
 
     Args:
