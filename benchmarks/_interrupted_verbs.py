@@ -97,7 +97,7 @@ CASES = {
     "convert --to supervisely": VerbCase("convert DATA OUT --to supervisely", "frames"),
     "convert --to xtreme1": VerbCase("convert DATA OUT --to xtreme1", "frames"),
     "convert --to labelcloud": VerbCase("convert DATA OUT --to labelcloud", "frames"),
-    "convert --to coco": VerbCase("convert DATA OUT --to coco", "frames", out="boxes.json"),
+    "convert --to coco": VerbCase("convert DATA OUT --to coco", "pictured", out="boxes.json"),
     "convert --to openpcdet": VerbCase("convert DATA OUT --to openpcdet", "frames"),
     "predict": VerbCase(
         "predict pointpillars-cirrus-sim DATA --cloud gaussian --out OUT", "frames", out="boxes.csv", needs=("torch",)

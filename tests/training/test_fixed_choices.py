@@ -41,8 +41,9 @@ class Stopping(TrainingReport):
 
 @pytest.fixture(autouse=True)
 def own_threads(monkeypatch: pytest.MonkeyPatch):
-    """Nothing orders a number of threads; the process has its own again at the end."""
+    """Nothing orders a number of threads, and no commit comes in between; the process has its own again at the end."""
     before = torch.get_num_threads()
+    monkeypatch.setattr(provenance, "git_commit", lambda: "0123456789ab")
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     yield
     torch.set_num_threads(before)

@@ -194,3 +194,6 @@ def parse_description(line: str) -> dict[str, str] | None:
 
 DESC_ORDER = ("time", "road", "weather")
 """The words of a ``desc`` text of the kit's results, a line each."""
+
+CELLS_IN_VIEW = {"narrow": 102_966, "wide": 295_798, "cube": 7_732_075}
+"""Cells of each region, and of the whole cube, that the radar's field of view holds."""

@@ -31,11 +31,10 @@ from farfield.files.sizes import sized
 from farfield.jobs import HERE, JobJournal, JobOptions, JobRun, Outcome, Unit, UnitResult
 from farfield.jobs.folders import held
 from farfield.vocabulary.counts import count_of
+from farfield.vocabulary.kradar import CELLS_IN_VIEW
 
 UNPACKED = "unpacked"
 """Folder of a store in which radar files lie between unpacking and deletion, or for good with ``keep``."""
-CELLS_IN_VIEW = {"narrow": 102_966, "wide": 295_798, "cube": 7_732_075}
-"""Cells of each region that the radar's field of view holds."""
 _POLAR_BYTES = 16_207_920
 _CELL_BYTES, _DOPPLER_BYTES = 1.37, 1.59  # packed, of noise as simulated: power, and velocity besides
 _DELETED_AT = 4  # frames that are done before what they were unpacked to is deleted together
