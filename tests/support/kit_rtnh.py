@@ -28,7 +28,7 @@ class KitRTNH:
         widths: Of the stages.
         neck: Channels of each in the bird's-eye map.
         classes: Of the head.
-        input: Numbers a point.
+        input: Numbers of each point.
         seed: Of the numbers.
     """
 

@@ -110,7 +110,7 @@ class KitForm:
     """The sizes of one checkpoint.
 
     Attributes:
-        input: Numbers a point: 4, or 5 with Doppler.
+        input: Numbers of each point: 4, or 5 with Doppler.
         cell: Outputs of the simplified PointNet; 0 without one.
         first: Outputs of ``input_conv``.
         widths: Of the stages.
