@@ -1,6 +1,5 @@
 """What predict writes: which boxes, in which file, by which name; each is read back by score."""
 
-import csv
 import json
 
 import numpy as np
@@ -76,19 +75,9 @@ def test_kitti_results_are_a_folder_that_score_reads(own, tmp_path):
     assert set(first.type) <= {"Car", "Truck", "Pedestrian", "Cyclist"}
     read = read_predictions(out, format="kitti").boxes["", "000000"]
     here = rows.frame == "000000"
-    np.testing.assert_allclose(read.centre_m, rows.centre_m[here], atol=1e-6)
-    np.testing.assert_allclose(read.size_m, rows.size_m[here], atol=1e-6)
-    np.testing.assert_allclose(read.score, rows.score[here], rtol=0, atol=1e-8)
-
-
-def test_a_table_has_the_digits_that_single_precision_holds(own, tmp_path):
-    assert predict(own, "--out", tmp_path / "boxes.csv") == 0
-    with (tmp_path / "boxes.csv").open(encoding="utf-8") as handle:
-        rows = list(csv.DictReader(handle))
-    decimals = {name: max(len(row[name].partition(".")[2]) for row in rows) for name in ("x", "l", "yaw_rad", "score")}
-    assert len(rows) > 5
-    assert decimals["score"] <= 8
-    assert max(decimals["x"], decimals["l"], decimals["yaw_rad"]) <= 6
+    np.testing.assert_allclose(read.centre_m, rows.centre_m[here], atol=1e-9)
+    np.testing.assert_allclose(read.size_m, rows.size_m[here])
+    np.testing.assert_array_equal(read.score, rows.score[here])
 
 
 def test_a_frame_without_boxes_has_a_file_of_its_own(own, tmp_path):
@@ -106,8 +95,8 @@ def test_nuscenes_results_are_the_json_that_the_suffix_says(own, tmp_path, capsy
     assert tree["meta"]["use_lidar"] is True
     rows, found = read_boxes_csv(tmp_path / "boxes.csv"), read_predictions(tmp_path / "boxes.json", format="nuscenes")
     here, boxes = rows.frame == "000001", found.boxes["", "000001"]
-    np.testing.assert_allclose(boxes.centre_m, rows.centre_m[here], atol=1e-6)
-    np.testing.assert_allclose(boxes.size_m, rows.size_m[here], atol=1e-6)
+    np.testing.assert_allclose(boxes.centre_m, rows.centre_m[here], atol=1e-9)
+    np.testing.assert_allclose(boxes.size_m, rows.size_m[here], atol=1e-9)
     np.testing.assert_allclose(np.cos(boxes.yaw_rad - rows.yaw_rad[here]), 1, atol=1e-9)
     assert set(boxes.label) <= {"car", "truck", "pedestrian", "bicycle"}
     for box in tree["results"]["000001"]:

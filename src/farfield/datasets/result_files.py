@@ -342,22 +342,9 @@ _NUSCENES_NAMES = {**{name: name for name in NUSCENES_RANGES_M}, **NUSCENES_FROM
 
 
 def rows_of(frame_boxes: Found, reference: str = "") -> Iterator[BoxRows]:
-    """Rows of a CSV file, one frame at a time; ``reference`` names the coordinates of the boxes.
-
-    Lengths and angles have 6 decimals and scores 8: further digits of single precision mean nothing.
-    """
+    """Rows of a CSV file, one frame at a time; ``reference`` names the coordinates of the boxes."""
     for key, boxes in frame_boxes:
-        yield box_rows([(key, _rounded(boxes))], reference=reference)
-
-
-def _rounded(boxes: Boxes) -> Boxes:
-    return boxes.replace(
-        centre_m=boxes.centre_m.round(6),
-        size_m=boxes.size_m.round(6),
-        yaw_rad=boxes.yaw_rad.round(6),
-        score=None if boxes.score is None else boxes.score.round(8),
-        velocity_m_s=None if boxes.velocity_m_s is None else boxes.velocity_m_s.round(6),
-    )
+        yield box_rows([(key, boxes)], reference=reference)
 
 
 def _named(boxes: Boxes, names: Mapping[str, str]) -> dict[str, str]:
