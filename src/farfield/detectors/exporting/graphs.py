@@ -98,7 +98,7 @@ def block(rows: Tensor, layer: SparseBlock, table: Tensor, added: Tensor | None 
     return torch.relu(rows) if layer.relu else rows
 
 
-def maximum(values: Tensor, member: Tensor, groups: int) -> Tensor:
+def maximum(values: Tensor, member: Tensor, groups: int | torch.SymInt) -> Tensor:
     """The largest value of each group of rows that are not negative, shape (groups, c)."""
     start = values.new_zeros(groups, values.shape[1])
     return start.scatter_reduce(0, member[:, None].expand(-1, values.shape[1]), values, "amax")

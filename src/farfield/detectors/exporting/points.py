@@ -78,7 +78,7 @@ class PointGraph(Graph):
 
 
 def pooled_group(
-    mlp: SharedMlp, centre: Tensor, point: Tensor, offset: Tensor, features: Tensor, centres: int
+    mlp: SharedMlp, centre: Tensor, point: Tensor, offset: Tensor, features: Tensor, centres: int | torch.SymInt
 ) -> Tensor:
     """Perceptron on each pair and the maximum over each centre; zero for one without any."""
     rows = mlp.first(offset, slice(0, 3))
