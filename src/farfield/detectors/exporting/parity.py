@@ -41,7 +41,7 @@ class CloudParity:
 
     @property
     def holds(self) -> bool:
-        """Whether they agree as well as they must; one box at the edge of a threshold may differ, however few there are."""
+        """Whether they agree as well as they must; one box at the edge of a threshold may differ."""
         return self.largest <= PARITY and (self.same >= SAME_SHARE or round((1 - self.same) * self.boxes) <= 1)
 
 
