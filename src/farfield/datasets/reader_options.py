@@ -39,7 +39,7 @@ def parsed_options(words: Sequence[str]) -> dict[str, OptionText]:
 
 
 def typed_options(reader: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of which those that are texts became what the reader's signature asks for.
+    """Options, with texts converted to the types of the reader's signature.
 
     Args:
         reader: The reader's class.

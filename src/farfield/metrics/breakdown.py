@@ -111,7 +111,7 @@ def parts_json(scored: Mapping[str, Mapping[str, Result]]) -> dict[str, Any]:
 def of_slice(detections: Detections, where: Where) -> Detections:
     """The boxes that fulfil a condition, predicted and annotated, and the frames in which some may.
 
-    Predicted boxes lack some columns, such as the number of points: where the condition asks for one, a predicted box
+    Predicted boxes lack some columns, such as the number of points: where the condition uses one, a predicted box
     goes with the annotated one that it finds, and stays where it finds none.
 
     Args:

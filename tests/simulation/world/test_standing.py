@@ -51,7 +51,7 @@ def _no_vehicle_stands_in_a_thing(road: str, seed: int) -> None:
     things = _feet(scene.layout)
     assert len(things) > 50
     near = np.hypot(*(things.centre_m[:, None, :2] - position[rows, :2]).transpose(2, 0, 1)).min(axis=1) < 12.0
-    assert pairwise_iou(vehicles, things[near], kind="bev").max() == 0.0
+    assert pairwise_iou(vehicles, things[near], kind="bev").max() < 1e-12  # rounding leaves 4e-17; a post in a car 1e-3
 
 
 @pytest.mark.parametrize("seed", range(4))

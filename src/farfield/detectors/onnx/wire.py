@@ -1,4 +1,4 @@
-"""An ONNX file looked at without any library, and refused by name where it asks for what no export of ours does.
+"""An ONNX file checked without any library, and refused by name where it uses what no export of ours does.
 
 ONNX is a protocol buffer (onnx.proto, field numbers below). Only what decides is read: operators, tensors, inputs,
 outputs, metadata. Nothing is allocated on the word of the file, and no session is made of one that is refused.
