@@ -1,5 +1,6 @@
 """The engine of this machine: order, workers that die, errors, stopping, memory."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -243,6 +244,21 @@ def test_what_a_library_makes_of_a_signal_is_not_told(number: int, ending: type[
     assert signal.getsignal(number) is before
     with pytest.raises(ValueError, match="a fault"), ended_by_signals():
         raise ValueError("a fault")
+
+
+@pytest.mark.parametrize(("number", "ending"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+def test_a_signal_during_an_import_waits_for_its_end(
+    number: int, ending: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Modules of pybind11 end the process by "terminate called" where a signal raises in their initialisation."""
+    lines = f"import os, time\nos.kill(os.getpid(), {number})\ntime.sleep(0.2)\nwhole = True\n"
+    (tmp_path / f"compiled_{number}.py").write_text(lines)
+    monkeypatch.syspath_prepend(tmp_path)
+    modules = []
+    with pytest.raises(ending), ended_by_signals():
+        modules.append(importlib.import_module(f"compiled_{number}"))
+        time.sleep(5)
+    assert [module.whole for module in modules] == [True]
 
 
 def test_asyncio_finds_the_handler_by_which_it_ends_its_tasks_in_order() -> None:

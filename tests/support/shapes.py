@@ -6,15 +6,19 @@ messages are its own (``test_shapes.py`` compares them).
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import Any, ForwardRef, TypeVar, get_args
 
-from beartype import beartype
+import jaxtyping
+from beartype import BeartypeConf, beartype
 from jaxtyping import _array_types, _decorator, _storage
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _KINDS = inspect.Parameter
 _jaxtypings_own = _array_types._MetaAbstractArray.__instancecheck__
+_jaxtypings_decorator = _decorator.jaxtyped
+_CHECKS = beartype(conf=BeartypeConf(violation_type=jaxtyping.TypeCheckError))
 
 
 def checked(function: Function) -> Function:
@@ -27,6 +31,36 @@ def checked(function: Function) -> Function:
     if inspect.isfunction(function) and function.__annotations__.get("return", Any) is not Any:
         function.__annotations__ = {"return": function.__annotations__["return"]}
     return beartype(function)
+
+
+def without_arrays(function: Callable[..., Any]) -> bool:
+    """Whether a function's annotations name no array, so that no sizes must hold from an argument to another.
+
+    False of what beartype reads in another way than jaxtyping: names of types as text, and what yields or is awaited.
+    """
+    inner = inspect.unwrap(function)
+    special = (inspect.isgeneratorfunction, inspect.isasyncgenfunction, inspect.iscoroutinefunction)
+    return not any(kind(inner) for kind in special) and not any(map(_names_array, function.__annotations__.values()))
+
+
+def _names_array(annotation: Any) -> bool:
+    """Whether an annotation names an array, or may: a text or a type's variable is not looked into."""
+    if isinstance(annotation, str | ForwardRef | TypeVar | _array_types._MetaAbstractArray):
+        return True
+    parts = annotation if isinstance(annotation, list | tuple) else get_args(annotation)
+    return any(map(_names_array, parts))
+
+
+def typed(function: Any = _decorator._sentinel, *, typechecker: Any = _decorator._sentinel) -> Any:
+    """``jaxtyping.jaxtyped``; a function without arrays gets the checks of its types alone, in a fifth of the time."""
+    if function is _decorator._sentinel:
+        return partial(typed, typechecker=typechecker)
+    if typechecker is not _decorator._sentinel and typechecker and inspect.isfunction(function):
+        if getattr(function, "__no_type_check__", False):
+            return function
+        if without_arrays(function):
+            return _CHECKS(function)
+    return _jaxtypings_decorator(function, typechecker=typechecker)
 
 
 class _Bound:
@@ -153,3 +187,4 @@ def _fits(shape: Any, sizes: list[int | str | None], place: int | None, rest: st
 
 _decorator.inspect = SimpleNamespace(**(vars(inspect) | {"signature": QuickSignature.from_callable}))
 _array_types._MetaAbstractArray.__instancecheck__ = _is_array
+_decorator.jaxtyped = jaxtyping.jaxtyped = typed

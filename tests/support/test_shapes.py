@@ -38,7 +38,7 @@ def test_wrong_arguments_are_found() -> None:
 def test_wrong_results_are_found_and_sizes_hold_from_argument_to_result() -> None:
     with pytest.raises(TypeCheckError, match="return value of"):
         first_rows(np.zeros((4, 3)), 3)
-    with pytest.raises(TypeCheckError, match="return value of"):
+    with pytest.raises(TypeCheckError, match="return 0 violates"):
         named(0)
 
 

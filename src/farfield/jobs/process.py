@@ -12,6 +12,8 @@ from types import FrameType
 
 _received: list[int] = []
 _TORCH_FOLDERS = "torchinductor_*"
+_IMPORTLIB = "<frozen importlib._bootstrap>"
+_IMPORT_PAUSE_S = 0.05
 
 
 @contextmanager
@@ -19,7 +21,8 @@ def ended_by_signals() -> Iterator[None]:
     """Let Ctrl-C end what runs meanwhile, and SIGTERM with exit status 143; only the main thread can.
 
     What a signal raises may come out as another error: a library's code that was being run replaces it. That error is
-    not told.
+    not told. A signal that comes while a module is imported waits until the import has ended: compiled modules abort
+    the process where Python's code raises in their initialisation.
 
     Raises:
         KeyboardInterrupt: After Ctrl-C.
@@ -57,9 +60,20 @@ def pythons_interrupt() -> Iterator[None]:
 
 
 def _on_signal(number: int, frame: FrameType | None) -> None:
-    del frame
+    if _imports(frame):
+        again = threading.Timer(_IMPORT_PAUSE_S, signal.raise_signal, [number])
+        again.daemon = True
+        again.start()
+        return
     _received.append(number)
     check()
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether a frame runs within an import."""
+    while frame is not None and frame.f_code.co_filename != _IMPORTLIB:
+        frame = frame.f_back
+    return frame is not None
 
 
 def check() -> None:
