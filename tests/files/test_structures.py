@@ -11,11 +11,11 @@ from fuzz_structures import FAULTY, counts, families
 from farfield.errors import ConfigError
 
 FAMILIES = families()
-SLOW_CASES = 6000
-"""Of all families together: about a minute."""
+SLOW_CASES = 3000
+"""Of all families together."""
 LEAST_CASES = 40
 """Of one family, of which few may be readable."""
-UNSEEN_CASES = 60
+UNSEEN_CASES = 30
 """Of a generated tree of another's format, whose every file is written and read anew."""
 QUICK = [name for name in FAMILIES if not name.startswith("unseen ")]
 """Generated trees are read whole by tests of their own."""
