@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
 
 import psutil
 import pytest
@@ -246,6 +247,12 @@ def test_what_a_library_makes_of_a_signal_is_not_told(number: int, ending: type[
         raise ValueError("a fault")
 
 
+def imported_and_waited(name: str, modules: list[ModuleType]) -> None:
+    with ended_by_signals():
+        modules.append(importlib.import_module(name))
+        time.sleep(5)
+
+
 @pytest.mark.parametrize(("number", "ending"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
 def test_a_signal_during_an_import_waits_for_its_end(
     number: int, ending: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -254,10 +261,9 @@ def test_a_signal_during_an_import_waits_for_its_end(
     lines = f"import os, time\nos.kill(os.getpid(), {number})\ntime.sleep(0.2)\nwhole = True\n"
     (tmp_path / f"compiled_{number}.py").write_text(lines)
     monkeypatch.syspath_prepend(tmp_path)
-    modules = []
-    with pytest.raises(ending), ended_by_signals():
-        modules.append(importlib.import_module(f"compiled_{number}"))
-        time.sleep(5)
+    modules: list[ModuleType] = []
+    with pytest.raises(ending):
+        imported_and_waited(f"compiled_{number}", modules)
     assert [module.whole for module in modules] == [True]
 
 
