@@ -15,6 +15,7 @@ pytest.importorskip("onnx")
 pytest.importorskip("onnxscript")
 onnxruntime = pytest.importorskip("onnxruntime")
 
+from exporting import NO_TORCH
 from small import SMALL
 
 import farfield as ff
@@ -92,21 +93,6 @@ def test_a_file_that_does_not_agree_is_not_left(
     with pytest.raises(FarfieldError, match=r"another range: 1\.0e-01, 50\.00% of 3 boxes.*Nothing was written"):
         ff.export(loaded(trained, "pointpillars"), tmp_path / "a.onnx")
     assert not list(tmp_path.iterdir())
-
-
-NO_TORCH = """
-import sys
-BLOCKED = {"torch", "onnx", "onnxscript", "safetensors", "lightning_fabric"}
-class Blocked:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in BLOCKED:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-sys.meta_path.insert(0, Blocked())  # not None among sys.modules: tyro takes that for one that is imported
-from farfield.cli import main
-status = main(sys.argv[1:])
-assert not BLOCKED & {name.split(".")[0] for name in sys.modules}
-raise SystemExit(status)
-"""
 
 
 def test_verbs_run_it_without_torch(

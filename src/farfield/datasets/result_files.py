@@ -85,7 +85,7 @@ def result_format(out: Path | None, format: str | None = None) -> str:
 
 @dataclass
 class ResultWriter:
-    """Writes what was found, once, and remembers what was assumed.
+    """Writes results, once, and remembers what was assumed.
 
     Args:
         format: One of ``RESULT_FORMATS``.
@@ -93,8 +93,8 @@ class ResultWriter:
         keys: Their (sequence, frame).
         kind: Of which kind of sensor the detector reads the clouds.
         classes: Classes that the detector has, in its order.
-        strict: Whether the form is the tool's own to the letter, as ``--to`` asks for: what the data cannot give is
-            refused by :meth:`check`; else what stands for it is noted.
+        strict: Whether the form is the tool's own to the letter, as with ``--to``: :meth:`check` then refuses what
+            the data cannot give; else what stands for it is noted.
         notes: What was assumed, once written.
     """
 
