@@ -20,11 +20,7 @@ from farfield.datasets.edits import JOURNAL, CellEdit, Record, decode, encode, r
 from farfield.datasets.edits.journal import LONGEST_LINE
 from farfield.errors import FarfieldError
 from farfield.files.limits import open_file
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from farfield.files.locking import lock
 
 Take = Callable[[Record], None]
 
@@ -281,11 +277,8 @@ def hold(folder: Path) -> int:
 
 
 def _lock(handle: int, folder: Path) -> None:
-    if fcntl is None:
-        warnings.warn(f"{folder}: this system has no file locks: open these labels once only", stacklevel=4)
-        return
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(handle)
     except BlockingIOError:
         raise
     except OSError as error:  # some network file systems

@@ -11,13 +11,34 @@ else:
     import fcntl
 
 
+_LOCKED_BYTE = 1 << 30
+"""Windows locks bytes, which nobody else can read then: one beyond the content."""
+
+
+def lock(handle: int) -> None:
+    """Lock an open file until it is closed or the process ends; nobody waits.
+
+    Raises:
+        BlockingIOError: If another one holds it.
+        OSError: If its file system has no locks.
+    """
+    if sys.platform == "win32":
+        position = os.lseek(handle, 0, os.SEEK_CUR)
+        os.lseek(handle, _LOCKED_BYTE, os.SEEK_SET)
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except PermissionError as error:
+            raise BlockingIOError(*error.args) from None
+        finally:
+            os.lseek(handle, position, os.SEEK_SET)
+    else:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 def try_lock(handle: int) -> bool:
     """Whether an open file could be locked, or its file system has no locks; nobody waits."""
     try:
-        if sys.platform == "win32":
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        else:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(handle)
     except (BlockingIOError, PermissionError):
         return False
     except OSError:

@@ -89,6 +89,11 @@ def check() -> None:
         raise SystemExit(128 + _received[0])
 
 
+def usable_cores() -> int:
+    """Cores that this process may use: fewer than the machine has under taskset or in a container's set."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 # One thread a worker: as many workers as cores are at work, and sums in another order have other last digits.
 
 VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -1,6 +1,5 @@
 """A work over many units, from the plan to the last one."""
 
-import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ from farfield.files.outputs import check_room
 from farfield.files.sizes import room, sized
 from farfield.jobs.folders import sweep_out
 from farfield.jobs.journal import JobJournal, state_of
-from farfield.jobs.process import check, one_thread
+from farfield.jobs.process import check, one_thread, usable_cores
 from farfield.jobs.units import ENGINES, BulkError, FailedTask, JobWork, Unit, UnitResult, alone
 from farfield.vocabulary.counts import count_of
 
@@ -49,8 +48,7 @@ class JobOptions:
         Raises:
             BulkError: If the memory does not suffice.
         """
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        workers = min(self.workers, units) if self.workers else min(cores, units // _WORTH)
+        workers = min(self.workers, units) if self.workers else min(usable_cores(), units // _WORTH)
         return fitting(max(1, workers), getattr(work, "memory_bytes", 0), exactly=self.workers > 0)
 
 

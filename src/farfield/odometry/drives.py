@@ -5,7 +5,6 @@
 """
 
 import io
-import os
 import time
 import zipfile
 from collections import Counter
@@ -29,6 +28,7 @@ from farfield.geometry.poses import transform_points
 from farfield.jobs import HERE, JobJournal, JobOptions, Unit, UnitResult, run
 from farfield.jobs.folders import held
 from farfield.jobs.journal import state_of
+from farfield.jobs.process import usable_cores
 from farfield.odometry.drift import Drift, drift_of, way_m
 from farfield.odometry.odometry import START_SWEEPS, Odometry, OdometrySettings, OdometrySweep, RegistrationResult
 from farfield.odometry.surface_map import SurfaceMap
@@ -475,8 +475,7 @@ def odometry(
     with held(out):
         journal = JobJournal(out / _JOURNAL, work.setting, overwrite=overwrite)
         if bulk.workers == 0:  # units are long: each is worth a worker
-            cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-            bulk = replace(bulk, workers=min(cores, len(units)))
+            bulk = replace(bulk, workers=min(usable_cores(), len(units)))
         clocks = run(work, units, bulk, journal=journal).clocks
         if (out / _SAVED).is_dir() and not any((out / _SAVED).iterdir()):
             (out / _SAVED).rmdir()

@@ -5,7 +5,6 @@ Cirrus (Wang et al., ICRA 2021), Tables I to VI; K-Radar (Paek et al., NeurIPS 2
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from farfield.files.atomic import read_bytes, write_text
 from farfield.files.json_text import plain_json
 from farfield.jobs import JobOptions
 from farfield.jobs.folders import held
+from farfield.jobs.process import usable_cores
 from farfield.jobs.runs import Progress
 from farfield.papers import planning
 from farfield.papers.claims import Claims
@@ -134,8 +134,7 @@ class Reproduction:
     @property
     def num_workers(self) -> int:
         """Processes at a time."""
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        return self.workers or cores
+        return self.workers or usable_cores()
 
     @property
     def simulated(self) -> bool:

@@ -19,6 +19,7 @@ from farfield.errors import ConfigError, FarfieldError, FileFormatError, Missing
 from farfield.files.atomic import read_bytes
 from farfield.frame import Cloud, Frame
 from farfield.geometry.boxes import Boxes
+from farfield.jobs.process import usable_cores
 
 SUFFIX = ".onnx"
 _BEFORE_CALIBRATION = 5000
@@ -296,9 +297,8 @@ def _session(path: Path, data: bytes, threads: int | None, optimised: bool) -> A
     except ModuleNotFoundError as error:
         raise MissingExtraError("onnxruntime", "onnx", "Running an exported detector") from error
     options = onnxruntime.SessionOptions()
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     own = os.environ.get("OMP_NUM_THREADS", "")
-    options.intra_op_num_threads = threads or (int(own) if own.isdecimal() and int(own) else usable)
+    options.intra_op_num_threads = threads or (int(own) if own.isdecimal() and int(own) else usable_cores())
     options.inter_op_num_threads, options.enable_mem_pattern = 1, False
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # two processes would starve each other
     options.log_severity_level = 4  # errors are raised, with their words
