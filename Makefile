@@ -8,6 +8,7 @@
 #   make train-roads   train the detectors for real roads, seed by seed; the same command goes on
 #   make page          build the studio's page from web/ (needs node)
 #   make bench-NAME    run benchmarks/NAME.py and keep what it prints in benchmarks/results/NAME.txt
+#   make release-check check a release before it is tagged (docs/platforms.md)
 #   make gpu-check     prove and measure what needs a GPU; ten minutes on one (docs/gpu.md)
 #
 # A machine with a GPU keeps its own torch:  make install TORCH=torch
@@ -36,7 +37,7 @@ PYTEST_FLAGS ?=
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 SHAPES := --jaxtyping-packages=farfield,shapes.checked
 
-.PHONY: help install demo test test-slow test-browser test-core docs train-roads page lint format bench gpu-check wheel clean
+.PHONY: help install demo test test-slow test-browser test-core docs train-roads page lint format bench gpu-check wheel release-check clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -49,7 +50,7 @@ $(STAMP): pyproject.toml constraints.txt requirements-lock.txt
 	$(PIP) install --quiet -c constraints.txt --upgrade pip
 	case "$$(uname -sm)" in \
 	"Linux x86_64") $(PIP) install --quiet --require-hashes --no-deps -r requirements-lock.txt;; \
-	*) $(PIP) install --quiet -c constraints.txt setuptools;; esac
+	*) $(PIP) install --quiet -c constraints.txt setuptools setuptools-scm;; esac
 	$(PIP) install --quiet -c constraints.txt $(TORCH_FLAGS) "$(TORCH)"
 	$(PIP) install --quiet -c constraints.txt --no-build-isolation -e ".[all]" --group dev
 	@rm -rf $(VENV)/faces && mkdir -p $(dir $(FACES_FILE))
@@ -132,6 +133,11 @@ gpu-check: $(STAMP)
 wheel: $(STAMP)
 	rm -rf build dist
 	$(BIN)/python -m build --wheel --outdir dist .
+
+# The version, the changelog, sdist and wheel, clean environments and each extra.  RELEASE="--only version builds"
+RELEASE ?=
+release-check: $(STAMP)
+	@$(BIN)/python tools/release_check.py $(RELEASE)
 
 clean:
 	rm -rf $(VENV) .venv-core-* .venv-docs build dist src/*.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache farfield-demo
