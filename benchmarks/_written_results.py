@@ -661,8 +661,9 @@ def results_real(folder: Path, peers: Peers, shared: Path) -> int:
     farfield_verb("predict", DETECTOR, tree, "--to", "nuscenes", "--out", results)
     version = {"version": "v1.0-farfield", "split": "all", "folder": folder / "kit-real"}
     job = {"root": tree, "results": results, **version}
-    name = f"nuScenes, predict {DETECTOR}, the same sweeps converted"
-    return missed | peers.held(name, "nuscenes", job, folder, our_nuscenes(folder, job))
+    name = f"nuScenes, predict {DETECTOR}, the same sweeps converted (ties=later_first: several boxes score alike)"
+    ours = our_nuscenes(folder, job, "--options", "ties=later_first")
+    return missed | peers.held(name, "nuscenes", job, folder, ours)
 
 
 def with_log(folder: Path, val: Path) -> Path:
