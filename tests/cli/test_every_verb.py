@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -100,41 +101,40 @@ def test_a_verb_that_sigterm_ends_says_how_to_go_on(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "status", "after_s"), [(signal.SIGINT, 130, 2.5), (signal.SIGTERM, 143, 6.0)], ids=["INT", "TERM"]
+)
 def test_a_stopped_verb_says_so_and_leaves_no_process(
-    tmp_path: Path, data: Path, verb: str, number: int, status: int
+    tmp_path: Path, data: Path, verb: str, number: int, status: int, after_s: float
 ) -> None:
-    """At several moments of its work, or it had ended before."""
-    for after_s in (2.5, 6.0):
-        words = command(verb, data, tmp_path / "out")
-        mark = f"{tmp_path.name}-{after_s}"
-        running = subprocess.Popen(
-            words,
-            cwd=tmp_path,
-            env=environment(FARFIELD_TEST_RUN=mark),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        time.sleep(after_s)
-        ended = running.poll() is not None
-        if not ended:
-            running.send_signal(number)
-        _, told = running.communicate(timeout=60)
-        own = told.split("Exception ignored")[0]  # by the interpreter, where a signal meets its last steps
-        assert "Traceback" not in own, own
-        # a shell shows -2 as 130 and -15 as 143: the interpreter was not up yet, or was down already
-        assert running.returncode in ((0, 1, 2) if ended else (0, 1, 2, status, -number)), told
-        assert running.returncode != status or "Run the same command again" in told, told
-        until = time.monotonic() + 20  # workers see that their command is gone, and go
-        while (left := [each for each in Path("/proc").glob("[0-9]*/environ") if _marked(each, mark)]) and (
-            time.monotonic() < until
-        ):
-            time.sleep(0.2)
-        assert not left
-        if ended:
-            break
+    """While its modules are imported and at its work, or it had ended before."""
+    mark = tmp_path.name
+    running = subprocess.Popen(
+        command(verb, data, tmp_path / "out"),
+        cwd=tmp_path,
+        env=environment(FARFIELD_TEST_RUN=mark),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    with suppress(subprocess.TimeoutExpired):
+        running.wait(after_s)
+    ended = running.poll() is not None
+    if not ended:
+        running.send_signal(number)
+    _, told = running.communicate(timeout=60)
+    own = told.split("Exception ignored")[0]  # by the interpreter, where a signal meets its last steps
+    assert "Traceback" not in own, own
+    # a shell shows -2 as 130 and -15 as 143: the interpreter was not up yet, or was down already
+    assert running.returncode in ((0, 1, 2) if ended else (0, 1, 2, status, -number)), told
+    assert running.returncode != status or "Run the same command again" in told, told
+    until = time.monotonic() + 20  # workers see that their command is gone, and go
+    while (left := [path for path in Path("/proc").glob("[0-9]*/environ") if _marked(path, mark)]) and (
+        time.monotonic() < until
+    ):
+        time.sleep(0.2)
+    assert not left
 
 
 def _marked(path: Path, mark: str) -> bool:
