@@ -32,7 +32,7 @@ SYSTEMS = {
     "macOS, Apple silicon": [f"macosx_{major}_0_arm64" for major in _MACS["arm64"]],
     "macOS, Intel": [f"macosx_{major}_0_x86_64" for major in _MACS["x86_64"]] + ["macosx_10_15_x86_64"],
 }
-MISSING = re.compile(r"No matching distribution found for ([\w.-]+)==")
+MISSING = re.compile(r"(?:No matching distribution found for|Cannot install) ([\w.-]+)==")
 BEGIN, END = "<!-- platforms: begin -->", "<!-- platforms: end -->"
 
 

@@ -98,5 +98,5 @@ def test_no_acknowledged_edit_is_lost_by_a_kill(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_no_acknowledged_edit_is_lost_by_twenty_kills(tmp_path: Path):
-    assert lost(tmp_path, 20, np.random.default_rng(2)) == 0
+def test_no_acknowledged_edit_is_lost_by_eight_kills(tmp_path: Path):
+    assert lost(tmp_path, 8, np.random.default_rng(2)) == 0
