@@ -209,7 +209,7 @@ ENDED = [
     for index, name in enumerate(VERBS)
     for ending in (ENDINGS if os.environ.get("FARFIELD_WHOLE") else (ENDINGS[index % 4],))
 ]
-"""One mechanism ends them all: a verb is ended in one way, and each way is tried on some; FARFIELD_WHOLE=1 tries all."""
+"""One mechanism ends them all: each verb is ended in one way; FARFIELD_WHOLE=1 tries every way on every verb."""
 
 
 @pytest.mark.slow
