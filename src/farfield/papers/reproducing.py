@@ -30,6 +30,7 @@ from farfield.papers.fingerprints import learnt_fingerprints, note_fingerprints
 from farfield.papers.grid import BudgetSettings, ExperimentGrid, Tree, load_grid
 from farfield.papers.jobs import DataLocations, TrainingJob, jobs_of
 from farfield.papers.locations import DataLocation, fingerprints_of, locations_of, provide, simulation_needed
+from farfield.papers.prospects import outlooks
 from farfield.papers.running import (
     SCORES,
     WEIGHTS,
@@ -362,7 +363,7 @@ class Reproduction:
             seeds=settings.seeds,
             cost=cost,
             workers=self.num_workers,
-            outlooks=planning.outlooks(self.claims, runs, settings),
+            outlooks=outlooks(self.claims, runs, settings),
             paces=rates,
             simulating_s=simulating,
         )
@@ -384,7 +385,7 @@ class Reproduction:
             seeds=self.settings.seeds,
             cost=planning.GridCost(simulating=0.0, training=0.0, scoring=0.0),
             workers=self.num_workers,
-            outlooks=planning.outlooks(self.claims, runs, self.settings),
+            outlooks=outlooks(self.claims, runs, self.settings),
         )
 
     def _learnt(self) -> set[str]:

@@ -1,0 +1,473 @@
+"""Every claim of a paper in a row: the paper's figure, ours with its interval, the decision, its controls, the size.
+
+Rows are made of grids as they were decided: of the folders that ``farfield reproduce`` finished (:func:`read_grid`), or
+of what a results file kept of them (``tools/claims.py``). Of several sizes a row shows the largest that is finished,
+and what the others said where they differ.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from farfield.errors import FileFormatError, plain
+from farfield.files.json_text import read_json
+from farfield.papers.claims import Claim, Claims, ClaimSide, Comparison
+from farfield.papers.grid import ExperimentGrid
+from farfield.papers.prospects import PowerEstimate, outlooks
+from farfield.vocabulary.counts import count_of
+from farfield.vocabulary.published_tables import OVERALL
+
+Role = Literal["comparison", "control"]
+SUMMARY, TIMING = "reproduction.json", "timing.json"
+_MAX_BYTES = 1 << 26
+SIZES = ("laptop", "desk", "workstation", "table2", "gpu")
+"""Budgets by what a training costs: table2 has more frames than a workstation's, and a quarter of a GPU's widths."""
+HOLDING = ("holds", "holds by construction")
+_SIDE = tuple(ClaimSide.model_fields)[:-1]  # all but the paper's row
+_RELATIONS = {"above": "over", "not_below": "not below", "equivalent": "as good as"}
+
+
+# What was decided
+
+
+class _Recorded(BaseModel):
+    """A part of what a finished reproduction wrote; what rows do not need is passed over."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class RecordedDifference(_Recorded):
+    """A difference between two rows with its interval."""
+
+    estimate: float | None = None
+    interval: tuple[float, float] | None = None
+    n: int = Field(0, ge=0, description="seeds")
+    trained: bool = True
+
+    def __str__(self) -> str:
+        if self.estimate is None:
+            return "no figure"
+        return f"{self.estimate:.3f}" + (" [{:.3f}, {:.3f}]".format(*self.interval) if self.interval else "")
+
+
+class RecordedDecision(_Recorded):
+    """A difference and what it says."""
+
+    verdict: Literal["holds", "holds not", "undecided", "no decision"]
+    difference: RecordedDifference
+
+
+class RecordedComparison(_Recorded):
+    """A comparison or control of a claim in one metric; without a decision where a row was not run."""
+
+    role: Role
+    metric: str
+    decision: RecordedDecision | None = None
+    power: float | None = None
+
+
+class RecordedClaim(_Recorded):
+    """A claim as it was decided."""
+
+    id: str
+    verdict: Literal["holds", "holds by construction", "holds not", "undecided", "no decision", "not run"]
+    decided: tuple[RecordedComparison, ...]
+
+
+class _RecordedRuns(_Recorded):
+    planned: int = Field(ge=0)
+    done: int = Field(ge=0)
+
+
+class _RecordedClock(_Recorded):
+    processor_s: float = Field(ge=0)
+    brought: bool = Field(False, description="whether the weights were there, and were only scored")
+
+
+class RecordedJob(_Recorded):
+    """A training and its scoring: the runs that it stands for, and what the clocks say."""
+
+    runs: tuple[str, ...]
+    clock: tuple[_RecordedClock, ...] = ()
+
+    @property
+    def core_minutes(self) -> float:
+        """The processor's time."""
+        return sum(clock.processor_s for clock in self.clock) / 60
+
+
+class RecordedGrid(_Recorded):
+    """A paper's grid as it was decided with one budget."""
+
+    paper: Literal["cirrus", "kradar"]
+    budget: str
+    simulated: bool
+    seeds: int = Field(ge=1)
+    steps: dict[str, int]
+    runs: _RecordedRuns
+    claims_sha256: str
+    claims: tuple[RecordedClaim, ...]
+    jobs: tuple[RecordedJob, ...] = ()
+    core_minutes: float | None = Field(None, description="what all of it took")
+    planned_minutes: bool = Field(False, description="whether that was planned: it was trained elsewhere")
+
+    @property
+    def size(self) -> tuple[bool, int]:
+        """What orders grids: real data above simulated, then by budget."""
+        return not self.simulated, SIZES.index(self.budget) if self.budget in SIZES else -1
+
+    @cached_property
+    def by_id(self) -> Mapping[str, RecordedClaim]:
+        """The claims by name."""
+        return {claim.id: claim for claim in self.claims}
+
+    def is_finished(self, claim: Claim) -> bool:
+        """Whether a claim's runs are all done, those of its comparisons with every seed.
+
+        Args:
+            claim: The claim.
+        """
+        deciding = _of(self.by_id[claim.id], "comparison", claim.metrics[0])
+        seeds = [row.decision.difference for row in deciding if row.decision is not None]
+        whole = len(seeds) == len(deciding) and all(not row.trained or row.n >= self.seeds for row in seeds)
+        return whole or self.runs.done >= self.runs.planned
+
+
+def _of(claim: RecordedClaim, role: Role, metric: str) -> list[RecordedComparison]:
+    return [row for row in claim.decided if (row.role, row.metric) == (role, metric)]
+
+
+def read_grid(folder: Path, claims: Claims) -> RecordedGrid:
+    """What a reproduction decided, and what its runs took.
+
+    Args:
+        folder: What ``farfield reproduce`` wrote.
+        claims: The paper's claims.
+
+    Raises:
+        FileFormatError: If its files hold anything else, or decide on claims that were declared otherwise.
+    """
+    path, clocks = folder / SUMMARY, folder / TIMING
+    tree = read_json(path, max_bytes=_MAX_BYTES)
+    timing = read_json(clocks, max_bytes=_MAX_BYTES) if clocks.is_file() else {}
+    grid: RecordedGrid = _validated(RecordedGrid, tree, path)
+    check_claims(grid, claims, path)
+    timed: _Timing = _validated(_Timing, timing, clocks)
+    jobs = tuple(timed.runs.values())
+    brought = any(clock.brought for job in jobs for clock in job.clock)
+    minutes = timed.planned.core_minutes if brought else sum(job.core_minutes for job in jobs)
+    changes = {"jobs": () if brought else jobs, "core_minutes": minutes or None, "planned_minutes": brought}
+    return grid.model_copy(update=changes)
+
+
+class _TimingPlan(_Recorded):
+    core_minutes: float = 0.0
+
+
+class _Timing(_Recorded):
+    planned: _TimingPlan = _TimingPlan()
+    runs: dict[str, RecordedJob] = Field(default_factory=dict)
+
+
+def _validated(model: type[Any], tree: Any, path: Path) -> Any:
+    try:
+        return model.model_validate(tree)
+    except ValidationError as error:
+        expected = "what farfield reproduce writes"
+        raise FileFormatError(path, where="keys", expected=expected, got=plain(error)) from None
+
+
+def check_claims(grid: RecordedGrid, claims: Claims, path: Path) -> None:
+    """Refuse decisions on other claims than those that are declared now, or other comparisons of them.
+
+    Args:
+        grid: What was decided.
+        claims: The claims; their hash may be cut short in the grid.
+        path: Where it stands, for the message.
+
+    Raises:
+        FileFormatError: If they differ.
+    """
+    if not grid.claims_sha256 or not claims.sha256.startswith(grid.claims_sha256):
+        expected = f"claims as they are declared now, {claims.sha256[:16]}; --page decides anew"
+        raise FileFormatError(path, where="claims_sha256", expected=expected, got=grid.claims_sha256[:16])
+    for claim in claims:
+        declared = comparisons_of(claim)
+        rows = [(row.role, row.metric) for row in grid.by_id[claim.id].decided] if claim.id in grid.by_id else []
+        if rows != [(role, metric) for role, metric, _ in declared]:
+            expected = count_of(len(declared), "comparison")
+            raise FileFormatError(path, where=claim.id, expected=expected, got=f"{len(rows)}, or in another order")
+
+
+def comparisons_of(claim: Claim) -> list[tuple[Role, str, Comparison]]:
+    """All that is decided for a claim, in order: in each metric its comparisons, then its controls."""
+    rows: list[tuple[Role, str, Comparison]] = []
+    for metric in claim.metrics:
+        rows += [("comparison", metric, pair) for pair in claim.comparisons]
+        rows += [("control", metric, pair) for pair in claim.controls]
+    return rows
+
+
+# Rows
+
+
+class BudgetProspect(NamedTuple):
+    """A larger budget that would decide a claim, by the paper's differences."""
+
+    budget: str
+    likely: bool
+    """Whether every comparison is decided with a power of 80 %; else of 30 % or more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClaimRow:
+    """A claim, what decided it and what would; its properties are the cells of a table.
+
+    Args:
+        claim: The claim.
+        grid: The largest finished grid that decided it; None if none did.
+        others: Further grids that decided it, the largest first.
+        needed: The trainings that it needs at that size: those that its rows start from, and its controls' too.
+        steps: Steps of those trainings.
+        prospect: What would decide it, where it is neither held nor refuted.
+        plannable: Whether the paper prints a difference to plan by.
+    """
+
+    claim: Claim
+    grid: RecordedGrid | None = None
+    others: tuple[RecordedGrid, ...] = ()
+    needed: frozenset[str] = frozenset()
+    steps: tuple[int, ...] = ()
+    prospect: BudgetProspect | None = None
+    plannable: bool = True
+
+    @property
+    def verdict(self) -> str:
+        """``"holds"``, ``"holds by construction"``, ``"holds not"``, ``"undecided"``, ``"no decision"``, ``"not run"``."""
+        return "not run" if self.grid is None else self.grid.by_id[self.claim.id].verdict
+
+    @property
+    def published(self) -> str:
+        """The paper's differences in the first metric, by commas; a dash where it prints none."""
+        figures = [pair.published(self.claim.metrics[0]) for pair in self.claim.comparisons]
+        if all(figure is None for figure in figures):
+            return "-"
+        return ", ".join("-" if figure is None else f"{figure:.3f}" for figure in figures)
+
+    def ours(self, grid: RecordedGrid | None = None) -> list[str]:
+        """Our differences in the first metric, a text a comparison, with its verdict where it is not the claim's.
+
+        Args:
+            grid: One of the other grids (default: the largest).
+        """
+        grid = grid or self.grid
+        if grid is None:
+            return []
+        recorded, texts = grid.by_id[self.claim.id], []
+        rows = _of(recorded, "comparison", self.claim.metrics[0])
+        for label, row in zip(labels_of(self.claim.comparisons), rows, strict=True):
+            verdict = row.decision.verdict if row.decision else "not run"
+            whole = "holds" if recorded.verdict in HOLDING else recorded.verdict
+            words = [label, str(row.decision.difference) if row.decision else "", verdict if verdict != whole else ""]
+            texts.append(" ".join(word for word in words if word))
+        return texts
+
+    @property
+    def decision(self) -> str:
+        """The verdict; in which other metric it is another; and how likely this size was to tell, if it did not."""
+        if self.grid is None:
+            return self.verdict
+        recorded, first = self.grid.by_id[self.claim.id], self.claim.metrics[0]
+        words = self.verdict
+        for metric in self.claim.metrics[1:]:
+            rows = _of(recorded, "comparison", metric)
+            verdicts = [row.decision.verdict if row.decision else "not run" for row in rows]
+            other = self.claim.verdict(verdicts)
+            words += f"; {other} in {metric.upper()}" if other != self.verdict else ""
+        powers = [row.power for row in _of(recorded, "comparison", first) if row.power is not None]
+        if self.verdict == "undecided" and powers:
+            words += f"; power {', '.join(f'{power:.0%}'.replace('%', ' %') for power in powers)}"
+        return words
+
+    @property
+    def controls(self) -> list[str]:
+        """What each control stands against, its verdicts and figures in the first metric; a text an explanation."""
+        if not self.claim.controls:
+            return []
+        rows: Sequence[RecordedComparison | None] = [None] * len(self.claim.controls)
+        if self.grid is not None:
+            rows = _of(self.grid.by_id[self.claim.id], "control", self.claim.metrics[0])
+        groups: dict[str, list[str]] = {}
+        for pair, row in zip(self.claim.controls, rows, strict=True):
+            decision = row.decision if row else None
+            text = f"{decision.verdict} {decision.difference}" if decision else "not run"
+            groups.setdefault(pair.excludes, []).append(text)
+        return [f"{excludes}: {', '.join(dict.fromkeys(texts))}" for excludes, texts in groups.items()]
+
+    @property
+    def size(self) -> str:
+        """The size that decided it: budget, steps, seeds."""
+        if self.grid is None:
+            return "-"
+        where = f"{self.grid.budget}{'' if self.grid.simulated else ', real data'}"
+        if not self.needed:
+            return f"{where}: no training"
+        span = f"{self.steps[0]:,}" if len(self.steps) == 1 else f"{self.steps[0]:,} to {self.steps[-1]:,}"
+        rows = _of(self.grid.by_id[self.claim.id], "comparison", self.claim.metrics[0])
+        seeds = min((row.decision.difference.n for row in rows if row.decision), default=0)
+        fewer = "" if seeds >= self.grid.seeds else f"{seeds} of "
+        return f"{where}: {span} steps, {fewer}{count_of(self.grid.seeds, 'seed')}"
+
+    @property
+    def again(self) -> str:
+        """What it takes to run it again: its trainings of the grid's, and core minutes."""
+        if self.grid is None:
+            return "-"
+        whole = "" if self.grid.core_minutes is None else f"{self.grid.core_minutes:,.0f}"
+        if not self.needed:
+            return f"no training; all {whole} core min" if whole else "no training"
+        if self.grid.jobs:
+            own = [job for job in self.grid.jobs if self.needed & set(job.runs)]
+            return f"{sum(job.core_minutes for job in own):,.0f} of {whole} core min, {count_of(len(own), 'training')}"
+        trainings = f"{len(self.needed) * self.grid.seeds} of {count_of(self.grid.runs.planned, 'training')}"
+        planned = " planned" if self.grid.planned_minutes else ""
+        return f"{trainings}; all {whole} core min{planned}" if whole else trainings
+
+    @property
+    def elsewhere(self) -> list[tuple[str, str]]:
+        """Budgets that decided it otherwise, and what they said."""
+        rows = [(grid.budget, grid.by_id[self.claim.id].verdict) for grid in self.others]
+        return [(budget, verdict) for budget, verdict in rows if verdict != self.verdict]
+
+    def would_decide(self, core_minutes: Mapping[str, float] | None = None) -> str:
+        """What would decide it, in words; empty where it is held or refuted.
+
+        Args:
+            core_minutes: What the paper's budgets cost as planned, where that is known.
+        """
+        if self.verdict in (*HOLDING, "holds not"):
+            return ""
+        if not self.plannable:
+            return "the paper prints no difference to plan by"
+        if self.prospect is None:
+            return "no larger budget: too small a difference for its seeds"
+        minutes = (core_minutes or {}).get(self.prospect.budget)
+        cost = "--plan says what it costs" if minutes is None else f"{minutes / 60:,.0f} core hours"
+        return f"{'' if self.prospect.likely else 'perhaps '}--budget {self.prospect.budget}, {cost}"
+
+
+def claim_rows(claims: Claims, grid: ExperimentGrid, decided: Iterable[RecordedGrid]) -> list[ClaimRow]:
+    """A row for every claim of a paper, also for those that no grid decided.
+
+    Args:
+        claims: The paper's claims.
+        grid: Its declared grid.
+        decided: Grids that were decided; those of other papers are passed over.
+    """
+    own = [one for one in decided if one.paper == claims.paper]
+    by_budget: dict[str, dict[str, list[PowerEstimate]]] = {}
+    rows: list[ClaimRow] = []
+    for claim in claims:
+        ran = [one for one in own if one.by_id[claim.id].verdict != "not run"]
+        ran.sort(key=partial(_rank, claim), reverse=True)
+        best = ran[0] if ran else None
+        row = ClaimRow(claim=claim, grid=best, others=tuple(ran[1:]))
+        changes: dict[str, Any] = {}
+        if best is not None:
+            names = grid.runs_of(best.budget) if best.budget in grid.budgets else grid.runs
+            needed = {name for name in claim.runs if name in names}
+            changes["needed"] = frozenset(needed | {names[name].start for name in needed if names[name].start})
+            steps = {best.steps.get(names[name].network) for name in changes["needed"]}
+            changes["steps"] = tuple(sorted(count for count in steps if count is not None)) or (0,)
+        if row.verdict in ("undecided", "no decision", "not run"):
+            if not by_budget:
+                by_budget = _outlooks(claims, grid)
+            estimates = [powers[claim.id] for powers in by_budget.values() if claim.id in powers]
+            changes["plannable"] = any(one.power is not None for powers in estimates for one in powers)
+            changes["prospect"] = _prospect(claim, by_budget, best)
+        rows.append(replace(row, **changes))
+    return rows
+
+
+def _rank(claim: Claim, grid: RecordedGrid) -> tuple[bool, bool, int]:
+    """What orders the grids that decided a claim: finished ones, of them the largest."""
+    return (grid.is_finished(claim), *grid.size)
+
+
+def _outlooks(claims: Claims, grid: ExperimentGrid) -> dict[str, dict[str, list[PowerEstimate]]]:
+    """By budget, the smallest first, and claim: how likely each comparison is to be decided."""
+    powers: dict[str, dict[str, list[PowerEstimate]]] = {}
+    for budget in sorted(grid.budgets, key=SIZES.index):
+        for estimate in outlooks(claims, tuple(grid.runs_of(budget)), grid.budgets[budget]):
+            powers.setdefault(budget, {}).setdefault(estimate.claim, []).append(estimate)
+    return powers
+
+
+def _prospect(
+    claim: Claim, by_budget: Mapping[str, Mapping[str, Sequence[PowerEstimate]]], best: RecordedGrid | None
+) -> BudgetProspect | None:
+    """The smallest larger budget that decides a claim; else the smallest that perhaps does."""
+    after = -1 if best is None else best.size[1]
+    prospects: dict[str, str] = {}
+    for budget, powers in by_budget.items():
+        planned = [one for one in powers.get(claim.id, ()) if one.power is not None or not one.runs]
+        if SIZES.index(budget) > after and planned and all(one.words in ("yes", "perhaps") for one in planned):
+            prospects.setdefault("yes" if all(one.words == "yes" for one in planned) else "perhaps", budget)
+    words = next((words for words in ("yes", "perhaps") if words in prospects), "")
+    return BudgetProspect(prospects[words], words == "yes") if words else None
+
+
+# Words
+
+
+def labels_of(pairs: Sequence[Comparison]) -> list[str]:
+    """What tells the comparisons of a claim apart, in a few words each; nothing where there is one alone.
+
+    Args:
+        pairs: The comparisons.
+    """
+    if len(pairs) == 1:
+        return [""]
+    shared = [name for name in _SIDE if all(getattr(pair.a, name) == getattr(pair.b, name) for pair in pairs)]
+    shared = [name for name in shared if _varies(name, pairs) and (name != "minus" or "part" in shared)]
+    labels = [_side_words(pair.a, shared) for pair in pairs]
+    if len(set(labels)) == len(pairs) and all(labels):
+        return labels
+    varying = [name for name in _SIDE if _varies(name, pairs)]
+    labels = []
+    for pair in pairs:
+        apart = [name for name in varying if getattr(pair.a, name) != getattr(pair.b, name)]
+        sides = [_side_words(pair.a, varying), _side_words(pair.b, apart)]
+        labels.append(f" {_RELATIONS[pair.kind]} ".join(words for words in sides if words))
+    return labels
+
+
+def _varies(name: str, pairs: Sequence[Comparison]) -> bool:
+    return len({getattr(side, name) for pair in pairs for side in (pair.a, pair.b)}) > 1
+
+
+def _side_words(side: ClaimSide, names: Sequence[str]) -> str:
+    words = {
+        "run": side.run.replace("_", " "),
+        "cloud": f"on {side.cloud}" if side.cloud and not ("run" in names and side.cloud == side.run) else "",
+        "part": OVERALL if side.part == OVERALL else side.part.removeprefix("weather/").replace("_", " "),
+        "minus": f"minus {side.minus.removeprefix('weather/').replace('_', ' ')}" if side.minus else "",
+        "metric": side.metric.replace("_", " "),
+        "matched": "matched" if side.matched else "",
+    }
+    return " ".join(words[name] for name in names if words[name])
+
+
+def counts_of(rows: Sequence[ClaimRow]) -> str:
+    """How many claims hold, hold not, and are neither, in a sentence."""
+    verdicts = [row.verdict for row in rows]
+    holding, refuted = sum(verdict in HOLDING for verdict in verdicts), verdicts.count("holds not")
+    undecided = verdicts.count("undecided") + verdicts.count("no decision")
+    return (
+        f"Of {count_of(len(rows), 'claim')} {holding} hold, {refuted} hold not, {undecided} are undecided and "
+        f"{verdicts.count('not run')} were not run."
+    )
