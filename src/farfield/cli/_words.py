@@ -91,5 +91,6 @@ def refused_words(verb: str, printed: str, flags: Mapping[str, Sequence[str]], r
         choices = re.findall(r"'([^']*)'", choice.group(3))
         close = get_close_matches(choice.group(1), choices, n=1)
         meant = f"; did you mean {close[0]}?" if close else ""
-        return f"{choice.group(2)}: expected one of {', '.join(filter(None, choices))}, got {choice.group(1)!r}{meant}"
+        names = ", ".join(word for word in choices if word not in ("", "None"))
+        return f"{choice.group(2)}: expected one of {names}, got {choice.group(1)!r}{meant}"
     return text or f"what follows was not understood. farfield {verb} --help"

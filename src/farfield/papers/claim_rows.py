@@ -5,7 +5,7 @@ of what a results file kept of them (``tools/claims.py``). Of several sizes a ro
 and what the others said where they differ.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -27,6 +27,7 @@ _MAX_BYTES = 1 << 26
 SIZES = ("laptop", "desk", "workstation", "table2", "gpu")
 """Budgets by what a training costs: table2 has more frames than a workstation's, and a quarter of a GPU's widths."""
 HOLDING = ("holds", "holds by construction")
+OPEN = ("undecided", "no decision", "not run")
 _SIDE = tuple(ClaimSide.model_fields)[:-1]  # all but the paper's row
 _RELATIONS = {"above": "over", "not_below": "not below", "equivalent": "as good as"}
 
@@ -99,6 +100,11 @@ class RecordedJob(_Recorded):
         """The processor's time."""
         return sum(clock.processor_s for clock in self.clock) / 60
 
+    @property
+    def brought(self) -> bool:
+        """Whether it was only scored here."""
+        return bool(self.clock) and all(clock.brought for clock in self.clock)
+
 
 class RecordedGrid(_Recorded):
     """A paper's grid as it was decided with one budget."""
@@ -141,6 +147,20 @@ def _of(claim: RecordedClaim, role: Role, metric: str) -> list[RecordedCompariso
     return [row for row in claim.decided if (row.role, row.metric) == (role, metric)]
 
 
+def paper_of(folder: Path) -> str:
+    """The paper that a reproduction is of.
+
+    Args:
+        folder: What ``farfield reproduce`` wrote.
+
+    Raises:
+        FileFormatError: If it holds anything else.
+    """
+    path = folder / SUMMARY
+    paper: str = _validated(_OfPaper, read_json(path, max_bytes=_MAX_BYTES), path).paper
+    return paper
+
+
 def read_grid(folder: Path, claims: Claims) -> RecordedGrid:
     """What a reproduction decided, and what its runs took.
 
@@ -158,10 +178,14 @@ def read_grid(folder: Path, claims: Claims) -> RecordedGrid:
     check_claims(grid, claims, path)
     timed: _Timing = _validated(_Timing, timing, clocks)
     jobs = tuple(timed.runs.values())
-    brought = any(clock.brought for job in jobs for clock in job.clock)
+    brought = any(job.brought for job in jobs)
     minutes = timed.planned.core_minutes if brought else sum(job.core_minutes for job in jobs)
     changes = {"jobs": () if brought else jobs, "core_minutes": minutes or None, "planned_minutes": brought}
     return grid.model_copy(update=changes)
+
+
+class _OfPaper(_Recorded):
+    paper: Literal["cirrus", "kradar"]
 
 
 class _TimingPlan(_Recorded):
@@ -229,6 +253,7 @@ class ClaimRow:
 
     Args:
         claim: The claim.
+        metrics: What its metrics are called.
         grid: The largest finished grid that decided it; None if none did.
         others: Further grids that decided it, the largest first.
         needed: The trainings that it needs at that size: those that its rows start from, and its controls' too.
@@ -238,6 +263,7 @@ class ClaimRow:
     """
 
     claim: Claim
+    metrics: Mapping[str, str]
     grid: RecordedGrid | None = None
     others: tuple[RecordedGrid, ...] = ()
     needed: frozenset[str] = frozenset()
@@ -287,7 +313,7 @@ class ClaimRow:
             rows = _of(recorded, "comparison", metric)
             verdicts = [row.decision.verdict if row.decision else "not run" for row in rows]
             other = self.claim.verdict(verdicts)
-            words += f"; {other} in {metric.upper()}" if other != self.verdict else ""
+            words += f"; {other} in {self.metrics[metric]}" if other != self.verdict else ""
         powers = [row.power for row in _of(recorded, "comparison", first) if row.power is not None]
         if self.verdict == "undecided" and powers:
             words += f"; power {', '.join(f'{power:.0%}'.replace('%', ' %') for power in powers)}"
@@ -316,7 +342,7 @@ class ClaimRow:
         where = f"{self.grid.budget}{'' if self.grid.simulated else ', real data'}"
         if not self.needed:
             return f"{where}: no training"
-        span = f"{self.steps[0]:,}" if len(self.steps) == 1 else f"{self.steps[0]:,} to {self.steps[-1]:,}"
+        span = " to ".join(f"{count:,}" for count in dict.fromkeys(self.steps[:1] + self.steps[-1:]))
         rows = _of(self.grid.by_id[self.claim.id], "comparison", self.claim.metrics[0])
         seeds = min((row.decision.difference.n for row in rows if row.decision), default=0)
         fewer = "" if seeds >= self.grid.seeds else f"{seeds} of "
@@ -369,28 +395,31 @@ def claim_rows(claims: Claims, grid: ExperimentGrid, decided: Iterable[RecordedG
         decided: Grids that were decided; those of other papers are passed over.
     """
     own = [one for one in decided if one.paper == claims.paper]
-    by_budget: dict[str, dict[str, list[PowerEstimate]]] = {}
-    rows: list[ClaimRow] = []
-    for claim in claims:
-        ran = [one for one in own if one.by_id[claim.id].verdict != "not run"]
-        ran.sort(key=partial(_rank, claim), reverse=True)
-        best = ran[0] if ran else None
-        row = ClaimRow(claim=claim, grid=best, others=tuple(ran[1:]))
-        changes: dict[str, Any] = {}
-        if best is not None:
-            names = grid.runs_of(best.budget) if best.budget in grid.budgets else grid.runs
-            needed = {name for name in claim.runs if name in names}
-            changes["needed"] = frozenset(needed | {names[name].start for name in needed if names[name].start})
-            steps = {best.steps.get(names[name].network) for name in changes["needed"]}
-            changes["steps"] = tuple(sorted(count for count in steps if count is not None)) or (0,)
-        if row.verdict in ("undecided", "no decision", "not run"):
-            if not by_budget:
-                by_budget = _outlooks(claims, grid)
-            estimates = [powers[claim.id] for powers in by_budget.values() if claim.id in powers]
-            changes["plannable"] = any(one.power is not None for powers in estimates for one in powers)
-            changes["prospect"] = _prospect(claim, by_budget, best)
-        rows.append(replace(row, **changes))
-    return rows
+    metrics = {name: metric.words.partition(" ")[0] for name, metric in claims.metrics.items()}
+    rows = [replace(_row(claim, grid, own), metrics=metrics) for claim in claims]
+    open_rows = {row.claim.id for row in rows if row.verdict in OPEN}
+    powers = _outlooks(claims, grid, open_rows) if open_rows else {}
+    return [_with_prospect(row, powers) if row.claim.id in open_rows else row for row in rows]
+
+
+def _row(claim: Claim, grid: ExperimentGrid, decided: Iterable[RecordedGrid]) -> ClaimRow:
+    """The largest finished grid that decided a claim, and what the claim needs of it."""
+    ran = [one for one in decided if one.by_id[claim.id].verdict != "not run"]
+    ran.sort(key=partial(_rank, claim), reverse=True)
+    if not ran:
+        return ClaimRow(claim=claim, metrics={})
+    names = grid.runs_of(ran[0].budget) if ran[0].budget in grid.budgets else grid.runs
+    own = {name for name in claim.runs if name in names}
+    needed = frozenset(own | {names[name].start for name in own if names[name].start})
+    steps = {ran[0].steps[names[name].network] for name in needed if names[name].network in ran[0].steps}
+    row = ClaimRow(claim=claim, metrics={}, grid=ran[0], others=tuple(ran[1:]))
+    return replace(row, needed=needed, steps=tuple(sorted(steps)))
+
+
+def _with_prospect(row: ClaimRow, powers: Mapping[str, Mapping[str, Sequence[PowerEstimate]]]) -> ClaimRow:
+    estimates = [one for of_budget in powers.values() for one in of_budget.get(row.claim.id, ())]
+    plannable = any(one.power is not None for one in estimates)
+    return replace(row, plannable=plannable, prospect=_prospect(row.claim, powers, row.grid))
 
 
 def _rank(claim: Claim, grid: RecordedGrid) -> tuple[bool, bool, int]:
@@ -398,11 +427,11 @@ def _rank(claim: Claim, grid: RecordedGrid) -> tuple[bool, bool, int]:
     return (grid.is_finished(claim), *grid.size)
 
 
-def _outlooks(claims: Claims, grid: ExperimentGrid) -> dict[str, dict[str, list[PowerEstimate]]]:
+def _outlooks(claims: Claims, grid: ExperimentGrid, of: Collection[str]) -> dict[str, dict[str, list[PowerEstimate]]]:
     """By budget, the smallest first, and claim: how likely each comparison is to be decided."""
     powers: dict[str, dict[str, list[PowerEstimate]]] = {}
     for budget in sorted(grid.budgets, key=SIZES.index):
-        for estimate in outlooks(claims, tuple(grid.runs_of(budget)), grid.budgets[budget]):
+        for estimate in outlooks(claims, tuple(grid.runs_of(budget)), grid.budgets[budget], of=of):
             powers.setdefault(budget, {}).setdefault(estimate.claim, []).append(estimate)
     return powers
 

@@ -1,7 +1,7 @@
 """Which claims a budget can decide: the power of each comparison, were the paper's difference the truth."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from farfield.metrics.deciding import power
@@ -38,14 +38,24 @@ class PowerEstimate:
         return "yes" if self.power >= LIKELY else "perhaps" if self.power >= POSSIBLE else "hardly"
 
 
-def outlooks(claims: Claims, runs: Sequence[str], settings: BudgetSettings) -> tuple[PowerEstimate, ...]:
-    """Which claims can be decided by runs of this number of seeds and roads, by the published differences."""
+def outlooks(
+    claims: Claims, runs: Sequence[str], settings: BudgetSettings, *, of: Collection[str] | None = None
+) -> tuple[PowerEstimate, ...]:
+    """Which claims can be decided by runs of this number of seeds and roads, by the published differences.
+
+    Args:
+        claims: The claims.
+        runs: The runs of the budget.
+        settings: The budget.
+        of: Names of the claims that it is asked of (default: all).
+    """
     roads = sum(settings.sets[name].sequences for name in settings.scored_on if name in settings.sets)
     s_seq, seeds = S_SEQ * math.sqrt(ROADS / max(roads, 1)), settings.seeds
     trained = [claim for claim in claims if claims.metrics[claim.metrics[0]].protocol]
     df = max(1, sum(_has_runs(pair, runs) for claim in trained for pair in claim.pairs) * (seeds - 1))
     estimates = []
-    for claim, pair in [(declared, pair) for declared in trained for pair in declared.comparisons]:
+    chosen = [claim for claim in trained if of is None or claim.id in of]
+    for claim, pair in [(declared, pair) for declared in chosen for pair in declared.comparisons]:
         published, has_runs = pair.published(claim.metrics[0]), _has_runs(pair, runs)
         likely = None
         if published is not None and has_runs and seeds >= 2:
