@@ -41,7 +41,8 @@ farfield reproduce cirrus --summary --out my-run
 - *decision*: by the rule of [Reproduce](reproduce.md#the-decision), at the largest size that is finished; smaller sizes where they said otherwise, another metric where it does. *Power*: how likely this size
   was to say "holds", were the paper's difference the truth.
 - *controls*: the same comparison against a row without the claimed cause. One that holds excludes the explanation it is named by; one that does not leaves it open.
-- *to run it again*: how many of the size's trainings the claim needs, controls included, and the core minutes of all of them with scoring.
+- *to run it again*: how many of the size's trainings the claim needs, controls included, and the core minutes of all of the size's with scoring.
+- *what would decide it*: the smallest larger budget of which `--plan` says so, by the paper's difference and the spreads that a plan expects; core hours are those planned on a core without a GPU.
 
 What explains these results is in [Reproduce](reproduce.md#what-the-laptops-budget-found-for-cirrus), a page with every table in [the desk's report](reproduce_cirrus_desk.html).
 """
@@ -157,14 +158,18 @@ def cells_of(row: ClaimRow) -> list[str]:
 def reasons_of(row: ClaimRow, minutes: dict[str, float]) -> str:
     """Why a claim does not hold, and what would decide it."""
     words = {
-        "holds not": "the interval lies wholly on the other side.",
-        "undecided": "an interval reaches to both sides of what is claimed.",
-        "no decision": "too few sequences or seeds have a figure.",
-        "not run": "no size that was run has its trainings.",
+        "holds not": "the interval lies wholly on the other side of what is claimed",
+        "undecided": "an interval reaches to both sides of what is claimed",
+        "no decision": "too few sequences or seeds have a figure",
+        "not run": "no size that was run has its trainings",
     }
+    which = f" ({', '.join(row.labelled(row.verdict))})" if row.labelled(row.verdict) else ""
+    parts = [f"- **{row.claim.id}** {row.verdict}: {words[row.verdict]}{which}.", row.claim.note]
     would = row.would_decide(minutes)
-    parts = [f"- **{row.claim.id}** {row.verdict}: {words[row.verdict]}", row.claim.note]
-    parts += [f"What would decide it: {f'`{would}`' if would.startswith('--') else would}."] if would else []
+    parts += [f"What would decide it: {would}."] if would else []
+    if row.verdict == "holds not" and row.larger:
+        costs = {name: f" ({minutes[name] / 60:,.0f} core hours)" if name in minutes else "" for name in row.larger}
+        parts += [f"Larger budgets that have its rows: {', '.join(f'{name}{cost}' for name, cost in costs.items())}."]
     return " ".join(part for part in parts if part)
 
 

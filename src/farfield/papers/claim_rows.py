@@ -5,7 +5,7 @@ of what a results file kept of them (``tools/claims.py``). Of several sizes a ro
 and what the others said where they differ.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from farfield.errors import FileFormatError, plain
 from farfield.files.json_text import read_json
 from farfield.papers.claims import Claim, Claims, ClaimSide, Comparison
 from farfield.papers.grid import ExperimentGrid
-from farfield.papers.prospects import PowerEstimate, outlooks
+from farfield.papers.prospects import outlooks
 from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.published_tables import OVERALL
 
@@ -27,7 +27,6 @@ _MAX_BYTES = 1 << 26
 SIZES = ("laptop", "desk", "workstation", "table2", "gpu")
 """Budgets by what a training costs: table2 has more frames than a workstation's, and a quarter of a GPU's widths."""
 HOLDING = ("holds", "holds by construction")
-OPEN = ("undecided", "no decision", "not run")
 _SIDE = tuple(ClaimSide.model_fields)[:-1]  # all but the paper's row
 _RELATIONS = {"above": "over", "not_below": "not below", "equivalent": "as good as"}
 
@@ -253,23 +252,21 @@ class ClaimRow:
 
     Args:
         claim: The claim.
-        metrics: What its metrics are called.
         grid: The largest finished grid that decided it; None if none did.
         others: Further grids that decided it, the largest first.
         needed: The trainings that it needs at that size: those that its rows start from, and its controls' too.
         steps: Steps of those trainings.
-        prospect: What would decide it, where it is neither held nor refuted.
-        plannable: Whether the paper prints a difference to plan by.
+        claims: All claims of the paper.
+        declared: The paper's grid.
     """
 
     claim: Claim
-    metrics: Mapping[str, str]
+    claims: Claims
+    declared: ExperimentGrid
     grid: RecordedGrid | None = None
     others: tuple[RecordedGrid, ...] = ()
     needed: frozenset[str] = frozenset()
     steps: tuple[int, ...] = ()
-    prospect: BudgetProspect | None = None
-    plannable: bool = True
 
     @property
     def verdict(self) -> str:
@@ -302,6 +299,16 @@ class ClaimRow:
             texts.append(" ".join(word for word in words if word))
         return texts
 
+    def labelled(self, verdict: str) -> list[str]:
+        """Which of several comparisons have a verdict, in the first metric of the largest size.
+
+        Args:
+            verdict: The verdict.
+        """
+        rows = [] if self.grid is None else _of(self.grid.by_id[self.claim.id], "comparison", self.claim.metrics[0])
+        pairs = zip(labels_of(self.claim.comparisons), rows, strict=False)
+        return [label for label, row in pairs if label and row.decision and row.decision.verdict == verdict]
+
     @property
     def decision(self) -> str:
         """The verdict; in which other metric it is another; and how likely this size was to tell, if it did not."""
@@ -313,7 +320,7 @@ class ClaimRow:
             rows = _of(recorded, "comparison", metric)
             verdicts = [row.decision.verdict if row.decision else "not run" for row in rows]
             other = self.claim.verdict(verdicts)
-            words += f"; {other} in {self.metrics[metric]}" if other != self.verdict else ""
+            words += f"; {other} in {self.claims.metrics[metric].words.partition(' ')[0]}" if other != self.verdict else ""
         powers = [row.power for row in _of(recorded, "comparison", first) if row.power is not None]
         if self.verdict == "undecided" and powers:
             words += f"; power {', '.join(f'{power:.0%}'.replace('%', ' %') for power in powers)}"
@@ -355,7 +362,7 @@ class ClaimRow:
             return "-"
         whole = "" if self.grid.core_minutes is None else f"{self.grid.core_minutes:,.0f}"
         if not self.needed:
-            return f"no training; all {whole} core min" if whole else "no training"
+            return "no training: frames alone"
         if self.grid.jobs:
             own = [job for job in self.grid.jobs if self.needed & set(job.runs)]
             return f"{sum(job.core_minutes for job in own):,.0f} of {whole} core min, {count_of(len(own), 'training')}"
@@ -377,13 +384,35 @@ class ClaimRow:
         """
         if self.verdict in (*HOLDING, "holds not"):
             return ""
-        if not self.plannable:
+        if all(pair.published(self.claim.metrics[0]) is None for pair in self.claim.comparisons):
             return "the paper prints no difference to plan by"
-        if self.prospect is None:
+        prospect = self._prospect()
+        if prospect is None:
             return "no larger budget: too small a difference for its seeds"
-        minutes = (core_minutes or {}).get(self.prospect.budget)
+        minutes = (core_minutes or {}).get(prospect.budget)
         cost = "--plan says what it costs" if minutes is None else f"{minutes / 60:,.0f} core hours"
-        return f"{'' if self.prospect.likely else 'perhaps '}--budget {self.prospect.budget}, {cost}"
+        return f"{'' if prospect.likely else 'perhaps '}budget {prospect.budget} ({cost})"
+
+    @property
+    def larger(self) -> list[str]:
+        """Larger budgets that have the runs of its comparisons, the smallest first."""
+        after = -1 if self.grid is None else self.grid.size[1]
+        runs = {side.run for pair in self.claim.comparisons for side in (pair.a, pair.b) if side.run}
+        budgets = [name for name in SIZES[after + 1 :] if name in self.declared.budgets]
+        return [name for name in budgets if runs <= set(self.declared.runs_of(name))]
+
+    def _prospect(self) -> BudgetProspect | None:
+        """The smallest larger budget that decides the claim; else the smallest that perhaps does."""
+        perhaps = None
+        for budget in self.larger:
+            runs, settings = tuple(self.declared.runs_of(budget)), self.declared.budgets[budget]
+            estimates = outlooks(self.claims, runs, settings, of=(self.claim.id,))
+            planned = {one.words for one in estimates if one.power is not None}
+            if planned == {"yes"}:
+                return BudgetProspect(budget, likely=True)
+            if perhaps is None and planned and planned <= {"yes", "perhaps"}:
+                perhaps = BudgetProspect(budget, likely=False)
+        return perhaps
 
 
 def claim_rows(claims: Claims, grid: ExperimentGrid, decided: Iterable[RecordedGrid]) -> list[ClaimRow]:
@@ -395,59 +424,26 @@ def claim_rows(claims: Claims, grid: ExperimentGrid, decided: Iterable[RecordedG
         decided: Grids that were decided; those of other papers are passed over.
     """
     own = [one for one in decided if one.paper == claims.paper]
-    metrics = {name: metric.words.partition(" ")[0] for name, metric in claims.metrics.items()}
-    rows = [replace(_row(claim, grid, own), metrics=metrics) for claim in claims]
-    open_rows = {row.claim.id for row in rows if row.verdict in OPEN}
-    powers = _outlooks(claims, grid, open_rows) if open_rows else {}
-    return [_with_prospect(row, powers) if row.claim.id in open_rows else row for row in rows]
+    return [_row(claim, claims, grid, own) for claim in claims]
 
 
-def _row(claim: Claim, grid: ExperimentGrid, decided: Iterable[RecordedGrid]) -> ClaimRow:
+def _row(claim: Claim, claims: Claims, grid: ExperimentGrid, decided: Iterable[RecordedGrid]) -> ClaimRow:
     """The largest finished grid that decided a claim, and what the claim needs of it."""
     ran = [one for one in decided if one.by_id[claim.id].verdict != "not run"]
     ran.sort(key=partial(_rank, claim), reverse=True)
+    row = ClaimRow(claim=claim, claims=claims, declared=grid)
     if not ran:
-        return ClaimRow(claim=claim, metrics={})
+        return row
     names = grid.runs_of(ran[0].budget) if ran[0].budget in grid.budgets else grid.runs
     own = {name for name in claim.runs if name in names}
     needed = frozenset(own | {names[name].start for name in own if names[name].start})
     steps = {ran[0].steps[names[name].network] for name in needed if names[name].network in ran[0].steps}
-    row = ClaimRow(claim=claim, metrics={}, grid=ran[0], others=tuple(ran[1:]))
-    return replace(row, needed=needed, steps=tuple(sorted(steps)))
-
-
-def _with_prospect(row: ClaimRow, powers: Mapping[str, Mapping[str, Sequence[PowerEstimate]]]) -> ClaimRow:
-    estimates = [one for of_budget in powers.values() for one in of_budget.get(row.claim.id, ())]
-    plannable = any(one.power is not None for one in estimates)
-    return replace(row, plannable=plannable, prospect=_prospect(row.claim, powers, row.grid))
+    return replace(row, grid=ran[0], others=tuple(ran[1:]), needed=needed, steps=tuple(sorted(steps)))
 
 
 def _rank(claim: Claim, grid: RecordedGrid) -> tuple[bool, bool, int]:
     """What orders the grids that decided a claim: finished ones, of them the largest."""
     return (grid.is_finished(claim), *grid.size)
-
-
-def _outlooks(claims: Claims, grid: ExperimentGrid, of: Collection[str]) -> dict[str, dict[str, list[PowerEstimate]]]:
-    """By budget, the smallest first, and claim: how likely each comparison is to be decided."""
-    powers: dict[str, dict[str, list[PowerEstimate]]] = {}
-    for budget in sorted(grid.budgets, key=SIZES.index):
-        for estimate in outlooks(claims, tuple(grid.runs_of(budget)), grid.budgets[budget], of=of):
-            powers.setdefault(budget, {}).setdefault(estimate.claim, []).append(estimate)
-    return powers
-
-
-def _prospect(
-    claim: Claim, by_budget: Mapping[str, Mapping[str, Sequence[PowerEstimate]]], best: RecordedGrid | None
-) -> BudgetProspect | None:
-    """The smallest larger budget that decides a claim; else the smallest that perhaps does."""
-    after = -1 if best is None else best.size[1]
-    prospects: dict[str, str] = {}
-    for budget, powers in by_budget.items():
-        planned = [one for one in powers.get(claim.id, ()) if one.power is not None or not one.runs]
-        if SIZES.index(budget) > after and planned and all(one.words in ("yes", "perhaps") for one in planned):
-            prospects.setdefault("yes" if all(one.words == "yes" for one in planned) else "perhaps", budget)
-    words = next((words for words in ("yes", "perhaps") if words in prospects), "")
-    return BudgetProspect(prospects[words], words == "yes") if words else None
 
 
 # Words

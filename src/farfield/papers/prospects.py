@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from farfield.metrics.deciding import power
 from farfield.papers.claims import Claims, Comparison
@@ -59,9 +60,12 @@ def outlooks(
         published, has_runs = pair.published(claim.metrics[0]), _has_runs(pair, runs)
         likely = None
         if published is not None and has_runs and seeds >= 2:
-            likely = power(published, s_seed=S_SEED, s_seq=s_seq, n=seeds, df=df, hypothesis=pair.hypothesis)
+            likely = _power(published, s_seed=S_SEED, s_seq=s_seq, n=seeds, df=df, hypothesis=pair.hypothesis)
         estimates.append(PowerEstimate(claim=claim.id, power=likely, runs=has_runs))
     return tuple(estimates)
+
+
+_power = lru_cache(maxsize=1024)(power)
 
 
 def _has_runs(pair: Comparison, runs: Sequence[str]) -> bool:
