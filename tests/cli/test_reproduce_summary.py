@@ -12,14 +12,15 @@ from farfield.papers.claims import load
 
 
 def finished(out: Path, paper: str, budget: str, verdict: str) -> Path:
-    """A folder with the summary of a grid in which the first claim with trainings was decided, and no other."""
+    """A folder with the summary of a grid in which the first claim with trainings was decided so, and others hold."""
     claims, trees = load(paper), []
     first = next(claim.id for claim in claims if claim.runs)
     for claim in claims:
+        own = verdict if claim.id == first else "holds"
         difference = {"estimate": 0.5, "interval": [0.25, 0.75], "n": 3, "trained": True}
-        made = {"verdict": verdict, "difference": difference} if claim.id == first else None
+        made = {"verdict": own, "difference": difference} if claim.runs else None
         rows = [{"role": role, "metric": metric, "decision": made} for role, metric, _ in comparisons_of(claim)]
-        trees.append({"id": claim.id, "verdict": verdict if made else "not run", "decided": rows})
+        trees.append({"id": claim.id, "verdict": own if made else "not run", "decided": rows})
     tree = {"paper": paper, "budget": budget, "simulated": True, "seeds": 3, "steps": {"grid": 300, "rtnh": 300}}
     tree |= {"runs": {"planned": 6, "done": 6}, "claims_sha256": claims.sha256, "claims": trees}
     out.mkdir(parents=True)
@@ -33,11 +34,12 @@ def test_it_takes_the_finished_folders_or_those_that_are_named(
     monkeypatch.chdir(tmp_path)
     finished(Path("runs/reproduce-cirrus-laptop"), "cirrus", "laptop", "undecided")
     finished(Path("runs/reproduce-cirrus-desk"), "cirrus", "desk", "holds")
-    (tmp_path / "runs" / "reproduce-kradar-laptop").mkdir()  # begun, not finished
+    finished(Path("runs/reproduce-kradar-laptop"), "kradar", "laptop", "holds not")
+    (tmp_path / "runs" / "reproduce-kradar-desk").mkdir()  # begun, not finished
     assert main(["reproduce", "--summary"]) == 0
     text = capsys.readouterr().out
-    assert "cirrus: Of 16 claims 1 hold, 0 hold not, 0 are undecided and 15 were not run." in text
-    assert "kradar: Of 7 claims 0 hold, 0 hold not, 0 are undecided and 7 were not run." in text
+    assert "cirrus: Of 16 claims 15 hold, 0 hold not, 0 are undecided and 1 were not run." in text
+    assert "kradar: Of 7 claims 5 hold, 1 hold not, 0 are undecided and 1 were not run." in text
     assert "laptop: undecided" in " ".join(text.split())
     assert "0.500 [0.250, 0.750]" in " ".join(text.split())
     assert all(f"{name} " in text for name in ("C0", "C15", "K1", "K7")), "every claim, also those never run"
@@ -46,7 +48,7 @@ def test_it_takes_the_finished_folders_or_those_that_are_named(
     arguments = ["--out", str(other), "--out", "runs/reproduce-cirrus-desk"]
     assert main(["reproduce", *arguments, "kradar", "--summary"]) == 0
     text = capsys.readouterr().out
-    assert "kradar: Of 7 claims 0 hold, 1 hold not" in text
+    assert "kradar: Of 7 claims 5 hold, 1 hold not" in text
     assert "cirrus:" not in text
 
 

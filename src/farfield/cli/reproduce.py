@@ -164,9 +164,13 @@ def _print_claims(title: str, rows: "Sequence[ClaimRow]") -> None:
     """A table fitted to the terminal."""
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False, leading=1, expand=True)
-    for name, ratio in (("claim", 5), ("paper", 1), ("ours, controls", 6), ("decision", 3), ("size, to run it again", 4)):
-        table.add_column(name, ratio=ratio, min_width=6, overflow="fold")
+    screen = console(width=160)
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 1, 0), expand=True)
+    table.add_column("claim", ratio=5, overflow="fold")
+    table.add_column("paper", width=6)
+    table.add_column("ours, controls", ratio=8, overflow="fold")
+    table.add_column("decision", width=14 if screen.width < 110 else 24, overflow="fold")
+    table.add_column("size, to run it again", ratio=4, overflow="fold")
     for row in rows:
         ours = [*(row.ours() or ["-"]), *(f"control, {words}" for words in row.controls)]
         elsewhere = [f"{budget}: {verdict}" for budget, verdict in row.elsewhere]
@@ -174,8 +178,7 @@ def _print_claims(title: str, rows: "Sequence[ClaimRow]") -> None:
         decision = [row.decision, *elsewhere, *([f"would decide: {would}"] if would else [])]
         cells = (f"{row.claim.id} {row.claim.words}", row.published, "\n".join(ours), "\n".join(decision))
         table.add_row(*cells, f"{row.size}\n{row.again}" if row.grid else "-")
-    console(width=120).print(table)
-    print()
+    screen.print(table)
 
 
 def _transfer(

@@ -362,7 +362,7 @@ class ClaimRow:
             return "-"
         whole = "" if self.grid.core_minutes is None else f"{self.grid.core_minutes:,.0f}"
         if not self.needed:
-            return "no training: frames alone"
+            return "frames alone"
         if self.grid.jobs:
             own = [job for job in self.grid.jobs if self.needed & set(job.runs)]
             return f"{sum(job.core_minutes for job in own):,.0f} of {whole} core min, {count_of(len(own), 'training')}"

@@ -22,6 +22,7 @@ from farfield.jobs.folders import held
 from farfield.jobs.process import usable_cores
 from farfield.jobs.runs import Progress
 from farfield.papers import planning
+from farfield.papers.claim_rows import SUMMARY, TIMING
 from farfield.papers.claims import Claims
 from farfield.papers.claims import load as load_claims
 from farfield.papers.deciding import DecisionRule, Scores
@@ -52,7 +53,7 @@ from farfield.papers.validation import validation_of
 from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.patterns import PATTERNS
 
-MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
+MEASURED, PLAN, PAGE = "measured.json", "plan.json", "report.html"
 _MAX_BYTES = 1 << 26
 _ACCELERATORS = {"auto": "auto", "cpu": "cpu", "cuda": "gpu"}
 """What a training calls the devices."""
