@@ -12,7 +12,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from farfield.papers.claim_rows import HOLDING, ClaimRow, RecordedGrid, check_claims, claim_rows, comparisons_of, counts_of
+from farfield.papers.claim_rows import (
+    HOLDING,
+    ClaimRow,
+    RecordedGrid,
+    check_claims,
+    claim_rows,
+    comparisons_of,
+    counts_of,
+)
 from farfield.papers.claims import CLAIMS, Claim, Claims, ClaimSide, load
 from farfield.papers.grid import ExperimentGrid, load_grid
 
@@ -28,23 +36,31 @@ LINE = re.compile(
 )
 HEAD = """# Claims
 
-Every claim of the Cirrus and K-Radar papers in a line, printed by `tools/claims.py` of what `benchmarks/results/reproduce.txt` recorded. Your own runs in the same form:
+Every claim of the Cirrus and K-Radar papers in a line, printed by `tools/claims.py` of what
+`benchmarks/results/reproduce.txt` recorded. Your own runs in the same form:
 
 ```bash
 farfield reproduce --summary                        # of the finished folders runs/reproduce-*
 farfield reproduce cirrus --summary --out my-run
 ```
 
-- **All figures are of simulated frames**, and stand for the simulation; of the paper's, the sign of a difference is what is compared.
-- *paper*, *ours*: the difference between two rows in the first metric of the claim (Cirrus: DDS; K-Radar: AP3D; C0, K7: statistics of the data), ours as the mean over seeds with
-  its 95 % interval. A claim of several comparisons holds if all do; a verdict stands beside one where it is not the claim's.
-- *decision*: by the rule of [Reproduce](reproduce.md#the-decision), at the largest size that is finished; smaller sizes where they said otherwise, another metric where it does. *Power*: how likely this size
-  was to say "holds", were the paper's difference the truth.
-- *controls*: the same comparison against a row without the claimed cause. One that holds excludes the explanation it is named by; one that does not leaves it open.
-- *to run it again*: how many of the size's trainings the claim needs, controls included, and the core minutes of all of the size's with scoring.
-- *what would decide it*: the smallest larger budget of which `--plan` says so, by the paper's difference and the spreads that a plan expects; core hours are those planned on a core without a GPU.
+- **All figures are of simulated frames**, and stand for the simulation; of the paper's, only the sign of a difference
+  is compared.
+- *paper*, *ours*: the difference between two rows in the claim's first metric (Cirrus: DDS; K-Radar: AP3D; C0, K7:
+  statistics of the data), ours as the mean over seeds with its 95 % interval. A claim of several comparisons holds if
+  all do; a verdict stands beside one where it is not the claim's.
+- *decision*: by [a rule](reproduce.md#the-decision) that was fixed before, at the largest size that is finished; then
+  another metric and smaller sizes where they say otherwise. *Power*: how likely this size was to say "holds", were the
+  paper's difference the truth.
+- *controls*: the row without the claimed cause. A control that holds excludes the explanation it is named by; one that
+  does not leaves it open.
+- *to run it again*: how many of the size's trainings the claim needs, controls included, and the core minutes of all
+  of the size's with scoring.
+- *what would decide it*: the smallest larger budget of which `--plan` says so, by the paper's difference and the
+  spreads that a plan expects; core hours are those planned on a core without a GPU.
 
-What explains these results is in [Reproduce](reproduce.md#what-the-laptops-budget-found-for-cirrus), a page with every table in [the desk's report](reproduce_cirrus_desk.html).
+[Reproduce](reproduce.md#what-the-laptops-budget-found-for-cirrus) says what explains these results, and
+[the desk's report](reproduce_cirrus_desk.html) has all of its tables.
 """
 
 
@@ -58,7 +74,8 @@ class Recorded(NamedTuple):
 def sections() -> dict[str, str]:
     """The sections of the results by name, earlier runs of the same left out."""
     parts = re.split(r"^==== (.+)\n", RESULTS.read_text("utf-8"), flags=re.MULTILINE)[1:]
-    return {name: re.split(r"^== ", text, flags=re.MULTILINE)[0] for name, text in zip(parts[::2], parts[1::2], strict=True)}
+    latest = [re.split(r"^== ", text, flags=re.MULTILINE)[0] for text in parts[1::2]]
+    return dict(zip(parts[::2], latest, strict=True))
 
 
 def planned_minutes(text: str) -> dict[tuple[str, str], float]:
@@ -152,7 +169,8 @@ def cells_of(row: ClaimRow) -> list[str]:
     """A row of the page."""
     decision = "; ".join([row.decision, *(f"{budget}: {verdict}" for budget, verdict in row.elsewhere)])
     words = f"**{row.claim.id}** {row.claim.words}"
-    return [words, row.published, "; ".join(row.ours()) or "-", decision, "; ".join(row.controls) or "none", row.size, row.again]
+    ours, controls = "; ".join(row.ours()) or "-", "; ".join(row.controls) or "none"
+    return [words, row.published, ours, decision, controls, row.size, row.again]
 
 
 def reasons_of(row: ClaimRow, minutes: dict[str, float]) -> str:
@@ -207,11 +225,11 @@ def page() -> str:
             parts += [f"### Where smaller sizes said otherwise of {TITLES[paper]}"]
             parts += [table(["claim", "ours", "decision", "size"], others)]
         for head, one in recorded:
-            steps = sorted(set(one.steps.values()))
+            steps = " or ".join(f"{count:,}" for count in sorted(set(one.steps.values())))
             sizes.append(
                 [
                     f"{TITLES[paper]}, `{one.budget}`",
-                    f"{one.runs.done} of {one.runs.planned}, {' or '.join(f'{count:,}' for count in steps)} steps, {one.seeds} seeds",
+                    f"{one.runs.done} of {one.runs.planned}, {steps} steps, {one.seeds} seeds",
                     f"{one.core_minutes or 0:,.0f}{' as planned; trained elsewhere' if one.planned_minutes else ''}",
                     f"{head['date']}, {head['machine']}",
                     f"`farfield reproduce {paper} --budget {one.budget}`",

@@ -158,7 +158,7 @@ def test_other_files_and_other_claims_are_refused_by_name(tmp_path: Path) -> Non
             read_grid(path, CLAIMS)
     path = folder(tmp_path / "list", tree)
     (path / "reproduction.json").write_text("[1]")
-    with pytest.raises(FileFormatError, match="reproduction.json"):
+    with pytest.raises(FileFormatError, match=r"reproduction\.json"):
         paper_of(path)
     (path / "reproduction.json").write_text("{")
     with pytest.raises(FileFormatError, match="JSON"):

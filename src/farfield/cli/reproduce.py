@@ -52,7 +52,8 @@ def run(
     runs.
 
     Args:
-        paper: cirrus: Tables I to VI. kradar: the table by weather and Table 9. With --summary both unless one is named.
+        paper: cirrus: Tables I to VI. kradar: the table by weather and Table 9. With --summary both unless one is
+            named.
         budget: laptop: two cores, one to two hours. desk, workstation, gpu: see --plan. table2: Cirrus' Table II alone,
             15 trainings on a GPU in minutes.
         minutes: Lower the steps until it fits; refused where fewer than 200 would be left. Seeds and rows stay.

@@ -270,7 +270,7 @@ class ClaimRow:
 
     @property
     def verdict(self) -> str:
-        """``"holds"``, ``"holds by construction"``, ``"holds not"``, ``"undecided"``, ``"no decision"``, ``"not run"``."""
+        """What the largest size says of it; ``"not run"`` where none did."""
         return "not run" if self.grid is None else self.grid.by_id[self.claim.id].verdict
 
     @property
@@ -320,7 +320,8 @@ class ClaimRow:
             rows = _of(recorded, "comparison", metric)
             verdicts = [row.decision.verdict if row.decision else "not run" for row in rows]
             other = self.claim.verdict(verdicts)
-            words += f"; {other} in {self.claims.metrics[metric].words.partition(' ')[0]}" if other != self.verdict else ""
+            name = self.claims.metrics[metric].words.partition(" ")[0]
+            words += f"; {other} in {name}" if other != self.verdict else ""
         powers = [row.power for row in _of(recorded, "comparison", first) if row.power is not None]
         if self.verdict == "undecided" and powers:
             words += f"; power {', '.join(f'{power:.0%}'.replace('%', ' %') for power in powers)}"
