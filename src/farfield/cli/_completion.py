@@ -80,8 +80,9 @@ def positional_words(verb: str) -> tuple[str, ...]:
 
 
 def _choices(action: Any) -> list[str]:
-    """The words that an argument is one of, without the ``None`` that leaves it out."""
-    return [word for word in map(str, action.choices or ()) if word != "None"]
+    """The words that an argument is one of, without the ``None`` that leaves it out; sorted where that was one."""
+    words = [*map(str, action.choices or ())]  # with None the parser's words are a set, in any order
+    return sorted(word for word in words if word != "None") if "None" in words else words
 
 
 def flags_of(verb: str) -> dict[str, tuple[str, ...]]:
