@@ -124,7 +124,7 @@ def test_comparisons_of_a_claim_are_told_apart() -> None:
 def test_a_folder_tells_what_its_trainings_took(tmp_path: Path) -> None:
     tree = summary(verdicts={"C1": "holds", "C7": "holds"})
     clocks = {"gaussian": [600.0, 60.0], "uniform": [300.0], "second": [1200.0]}
-    runs = {
+    runs: dict[str, Any] = {
         f"s0-{run}": {"runs": [run], "clock": [{"processor_s": seconds} for seconds in times]}
         for run, times in clocks.items()
     }

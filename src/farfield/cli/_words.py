@@ -93,6 +93,6 @@ def refused_words(verb: str, printed: str, flags: Mapping[str, Sequence[str]], r
         meant = f"; did you mean {close[0]}?" if close else ""
         if "None" in choices:  # one that may be left out: the parser's words are a set, in any order
             choices = sorted(word for word in choices if word != "None")
-        names = ", ".join(filter(None, choices))
-        return f"{choice.group(2)}: expected one of {names}, got {choice.group(1)!r}{meant}"
+        listed = ", ".join(filter(None, choices))
+        return f"{choice.group(2)}: expected one of {listed}, got {choice.group(1)!r}{meant}"
     return text or f"what follows was not understood. farfield {verb} --help"
