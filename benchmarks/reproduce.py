@@ -72,6 +72,8 @@ def run_reproduced(arguments: Sequence[str]) -> None:
         print(f"trained  {trained(group)}")
     runs = f"{found['runs']['done']} of {found['runs']['planned']} runs"
     print(f"decided  commit {found['environment']['commit']}, {runs}, claims {found['claims_sha256'][:16]}")
+    steps = ", ".join(f"{network} {count}" for network, count in found["steps"].items())
+    print(f"size     {'' if found['simulated'] else 'real data; '}{found['seeds']} seeds; steps: {steps}")
     print(f"cost     {cost(folder)}\n")
     for claim in found["claims"]:
         print("\n".join(lines_of(claim)))

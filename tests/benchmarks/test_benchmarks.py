@@ -65,6 +65,9 @@ def reproduction(folder: Path) -> Path:
     found = {
         "trained_on": [{"device": "cpu", "precision": "fp32", "torch": "2.0", "commit": "abc", "runs": 2}],
         "runs": {"done": 2, "planned": 2},
+        "simulated": True,
+        "seeds": 2,
+        "steps": {"grid": 300},
         "environment": {"commit": "abc"},
         "claims_sha256": "0" * 64,
         "claims": [{"id": "C1", "verdict": "holds", "words": "nearer is better", "decided": [decided]}],

@@ -21,7 +21,6 @@ from farfield.papers.planning import (
     SCORING_S,
     GridCost,
     GridPlan,
-    PowerEstimate,
     RunRate,
     StepClock,
     cost_of,
@@ -29,11 +28,11 @@ from farfield.papers.planning import (
     fit_steps,
     measure_simulating,
     outline_of,
-    outlooks,
     patience_s,
     trial_experiment,
     trial_set,
 )
+from farfield.papers.prospects import PowerEstimate, outlooks
 
 CIRRUS = load_grid("cirrus")
 LAPTOP = CIRRUS.budgets["laptop"]

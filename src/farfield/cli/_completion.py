@@ -75,8 +75,14 @@ def positional_words(verb: str) -> tuple[str, ...]:
     words: list[str] = []
     for action in arguments_of(verb):
         if not action.option_strings:
-            words += [*map(str, action.choices or ()), *_words_of(verb, action.dest.rpartition(".")[2])]
+            words += [*_choices(action), *_words_of(verb, action.dest.rpartition(".")[2])]
     return tuple(dict.fromkeys(words))
+
+
+def _choices(action: Any) -> list[str]:
+    """The words that an argument is one of, without the ``None`` that leaves it out; sorted where that was one."""
+    words = [*map(str, action.choices or ())]  # with None the parser's words are a set, in any order
+    return sorted(word for word in words if word != "None") if "None" in words else words
 
 
 def flags_of(verb: str) -> dict[str, tuple[str, ...]]:
@@ -84,7 +90,7 @@ def flags_of(verb: str) -> dict[str, tuple[str, ...]]:
     words: dict[str, tuple[str, ...]] = {}
     for action in arguments_of(verb):
         listed = re.match(r"\{([\w.-]+(?:,[\w.-]+)+)\}", str(action.metavar or ""))  # such as {day,night}|STR
-        choices = tuple(sorted(map(str, action.choices or (listed.group(1).split(",") if listed else ()))))
+        choices = tuple(sorted(_choices(action) or (listed.group(1).split(",") if listed else ())))
         choices = choices or _words_of(verb, action.dest.rpartition(".")[2])
         words |= {flag: choices for flag in action.option_strings if flag.startswith("--")}
     return words | {"--verbose": (), "--help": (), "--help-all": ()}

@@ -91,5 +91,8 @@ def refused_words(verb: str, printed: str, flags: Mapping[str, Sequence[str]], r
         choices = re.findall(r"'([^']*)'", choice.group(3))
         close = get_close_matches(choice.group(1), choices, n=1)
         meant = f"; did you mean {close[0]}?" if close else ""
-        return f"{choice.group(2)}: expected one of {', '.join(filter(None, choices))}, got {choice.group(1)!r}{meant}"
+        if "None" in choices:  # one that may be left out: the parser's words are a set, in any order
+            choices = sorted(word for word in choices if word != "None")
+        listed = ", ".join(filter(None, choices))
+        return f"{choice.group(2)}: expected one of {listed}, got {choice.group(1)!r}{meant}"
     return text or f"what follows was not understood. farfield {verb} --help"

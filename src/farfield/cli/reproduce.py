@@ -1,23 +1,27 @@
 """``farfield reproduce``."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
-from farfield.cli._output import bar, check_outputs, would_write
+from farfield.cli._output import bar, check_outputs, console, would_write
 from farfield.errors import ConfigError
+
+if TYPE_CHECKING:
+    from farfield.papers.claim_rows import ClaimRow, RecordedGrid
 
 
 def run(
-    paper: Positional[Literal["cirrus", "kradar"]],
+    paper: Positional[Literal["cirrus", "kradar"] | None] = None,
     *,
     budget: Literal["laptop", "desk", "workstation", "gpu", "table2"] = "laptop",
     minutes: float | None = None,
     plan: bool = False,
     page: bool = False,
+    summary: bool = False,
     transfer: bool = False,
     seeds: tuple[int, ...] | None = None,
     data: Path | None = None,
@@ -26,7 +30,7 @@ def run(
     device: Literal["auto", "cpu", "cuda"] = "auto",
     precision: Literal["auto", "fp32", "bf16"] | None = None,
     train_only: bool = False,
-    out: Path | None = None,
+    out: Annotated[tuple[Path, ...], UseAppendAction] = (),
     dry_run: bool = False,
 ) -> int:
     """Put a paper's tables to the test: a declared grid of trainings, decisions on its claims, one page.
@@ -34,6 +38,7 @@ def run(
     examples:
       farfield reproduce cirrus --plan
       farfield reproduce cirrus
+      farfield reproduce --summary
       farfield reproduce cirrus --budget workstation --plan
       farfield reproduce kradar --minutes 90
       farfield reproduce kradar --transfer --workers 2
@@ -47,12 +52,15 @@ def run(
     runs.
 
     Args:
-        paper: cirrus: Tables I to VI. kradar: the table by weather and Table 9.
+        paper: cirrus: Tables I to VI. kradar: the table by weather and Table 9. With --summary both unless one is
+            named.
         budget: laptop: two cores, one to two hours. desk, workstation, gpu: see --plan. table2: Cirrus' Table II alone,
             15 trainings on a GPU in minutes.
         minutes: Lower the steps until it fits; refused where fewer than 200 would be left. Seeds and rows stay.
         plan: Only measure, and print what it would cost.
         page: Only write the page of the runs that are done, such as while others are at work.
+        summary: Only print every claim in a row, as the finished folders runs/reproduce-*, or those that --out names,
+            decided it at the largest size: the paper's figure, ours, the decision, its controls, what it took.
         transfer: Instead K-Radar's table of transfer between radar data sets (appendix G), simulated: from none, from
             the other radar, from the other side of the road, by share of the target's frames. OUT (default:
             runs/reproduce-kradar-transfer) holds report.html, transfer.txt, transfer.json, data, runs.
@@ -64,21 +72,30 @@ def run(
         precision: Number type of all trainings (default: the budget's). auto: bf16 where a GPU has it, else fp32.
         train_only: Simulate what runs learn from and train, and score nothing: the same command without it, here or
             where OUT was taken to without its data, scores. Needs no plan where the budget limits no minutes.
-        out: Folder (default: runs/reproduce-PAPER-BUDGET).
+        out: Folder (default: runs/reproduce-PAPER-BUDGET). With --summary it may be given several times.
         dry_run: Say what would be written, and write nothing; what it costs is measured, by --plan.
     """
+    if summary:
+        if plan or page or transfer or train_only or minutes is not None or seeds is not None:
+            raise ConfigError("--summary: expected without the flags of runs, which it does not make")
+        return _summary(("cirrus", "kradar") if paper is None else (paper,), out)
+    if paper is None:
+        raise ConfigError("PAPER: expected cirrus or kradar; --summary alone takes both")
+    if len(out) > 1:
+        raise ConfigError(f"--out: expected one folder without --summary, got {len(out)}")
+    own = out[0] if out else None
     from farfield.papers import Reproduction, described
 
-    check_outputs((data, source), folders={"--out": out or Path("runs")})
+    check_outputs((data, source), folders={"--out": own or Path("runs")})
     if transfer or seeds is not None:
         if train_only or device != "auto" or precision is not None:
             raise ConfigError("--train-only, --device, --precision: expected without --transfer and --seeds")
-        folder = out or Path("runs") / "reproduce-kradar-transfer"
+        folder = own or Path("runs") / "reproduce-kradar-transfer"
         return _transfer(paper, folder, seeds, workers, plan=plan, page=page, dry_run=dry_run)
     reproduction = Reproduction.of(
         paper,
         budget=budget,
-        out=out or Path("runs") / f"reproduce-{paper}-{budget}",
+        out=own or Path("runs") / f"reproduce-{paper}-{budget}",
         minutes=minutes,
         workers=workers,
         data=data,
@@ -108,6 +125,61 @@ def run(
 
 def _shown(what: str) -> Callable[[Iterable[int]], Iterable[int]]:
     return partial(bar, what=what, transient=True)
+
+
+def _summary(papers: Sequence[str], out: Sequence[Path]) -> int:
+    """Every claim of the papers in a row, of the folders that were finished."""
+    from farfield.papers.claim_rows import SUMMARY, claim_rows, counts_of, paper_of, read_grid
+    from farfield.papers.claims import load
+    from farfield.papers.grid import load_grid
+
+    for folder in out:
+        if not (folder / SUMMARY).is_file():
+            raise ConfigError(f"--out {folder}: expected {SUMMARY}, which a finished farfield reproduce writes there")
+    folders = out or sorted(path.parent for path in Path("runs").glob(f"reproduce-*/{SUMMARY}"))
+    by_paper: dict[str, list[RecordedGrid]] = {name: [] for name in papers}
+    for folder in folders:
+        name = paper_of(folder)
+        if name in by_paper:
+            by_paper[name].append(read_grid(folder, load(name)))
+    if not any(by_paper.values()):
+        where = ", ".join(map(str, out)) or "runs/reproduce-*"
+        runs = " or ".join(f"farfield reproduce {name}" for name in papers)
+        raise ConfigError(
+            f"--summary: expected a finished reproduction of {' or '.join(papers)} in {where}, found none. Run {runs}, "
+            "or name its folder by --out; docs/claims.md has what was found before."
+        )
+    for name, decided in by_paper.items():
+        rows = claim_rows(load(name), load_grid(name), decided)
+        _print_claims(f"{name}: {counts_of(rows)}", rows)
+    print(
+        "ours: first row minus second, mean over seeds [95 % interval]; a control that holds excludes what it names\n"
+        "power: how likely this size was to hold the claim, were the paper's difference the truth"
+    )
+    if any(one.simulated for decided in by_paper.values() for one in decided):
+        print("simulated frames: figures stand for the simulation, of the paper's only the sign is compared")
+    return 0
+
+
+def _print_claims(title: str, rows: "Sequence[ClaimRow]") -> None:
+    """A table fitted to the terminal."""
+    from rich.table import Table
+
+    screen = console(width=160)
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 1, 0), expand=True)
+    table.add_column("claim", ratio=5, overflow="fold")
+    table.add_column("paper", width=6)
+    table.add_column("ours, controls", ratio=8, overflow="fold")
+    table.add_column("decision", width=14 if screen.width < 110 else 24, overflow="fold")
+    table.add_column("size, to run it again", ratio=4, overflow="fold")
+    for row in rows:
+        ours = [*(row.ours() or ["-"]), *(f"control, {words}" for words in row.controls)]
+        elsewhere = [f"{budget}: {verdict}" for budget, verdict in row.elsewhere]
+        would = row.would_decide()
+        decision = [row.decision, *elsewhere, *([f"would decide: {would}"] if would else [])]
+        cells = (f"{row.claim.id} {row.claim.words}", row.published, "\n".join(ours), "\n".join(decision))
+        table.add_row(*cells, f"{row.size}\n{row.again}" if row.grid else "-")
+    screen.print(table)
 
 
 def _transfer(

@@ -285,10 +285,4 @@ def verdict_of(claim: Claim, comparisons: Sequence[DecidedComparison]) -> str:
         comparisons: Its comparisons in its first metric, controls left out.
     """
     verdicts = [row.decision.verdict if row.decision is not None else "not run" for row in comparisons]
-    if not verdicts or all(verdict in ("not run", "no decision") for verdict in verdicts):
-        return "not run" if "not run" in verdicts or not verdicts else "no decision"
-    if "holds not" in verdicts:
-        return "holds not"
-    if all(verdict == "holds" for verdict in verdicts):
-        return "holds by construction" if claim.by_construction else "holds"
-    return "undecided"
+    return claim.verdict(verdicts)

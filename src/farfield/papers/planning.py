@@ -5,7 +5,6 @@ frames are timed, the steps are lowered until all fits into the minutes, and the
 it can be decided.
 """
 
-import math
 import shutil
 import statistics
 import time
@@ -23,11 +22,10 @@ from farfield.evaluation import detect
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import DataConfig, Experiment, MethodConfig
 from farfield.jobs import JobOptions, Unit, UnitResult, values
-from farfield.metrics.deciding import power
-from farfield.papers.claims import Claims, Comparison
 from farfield.papers.grid import BudgetSettings, SimulatedSet
 from farfield.papers.jobs import TrainingJob
 from farfield.papers.locations import DataLocation, simulate
+from farfield.papers.prospects import PowerEstimate
 from farfield.papers.running import quiet
 from farfield.training.report import TrainingReport
 from farfield.vocabulary.counts import count_of
@@ -42,10 +40,6 @@ _GLANCE = 2  # steps that show whether there is time for more
 _PATIENCE_S, _PATIENCE_OF_ALL_S = 60.0, 240.0  # for the steps of the trial of a kind, and of all kinds
 _SETTLED = 8  # steps until the allocator and the caches have settled
 
-S_SEED, S_SEQ, ROADS = 0.015, 0.008, 12
-"""Spread of paired differences over seeds, and over draws of so many roads, met at small size: what power rests on."""
-LIKELY, POSSIBLE = 0.8, 0.3
-"""Power from which a claim can be decided, and from which it perhaps can."""
 SCORING_S = 12.0
 """Core seconds that scoring a run on a cloud takes besides detecting, with its draws."""
 PAGE_S = 60.0
@@ -90,30 +84,6 @@ class GridCost:
     def core_minutes(self) -> float:
         """All of it."""
         return self.simulating + self.training + self.scoring
-
-
-@dataclass(frozen=True, kw_only=True)
-class PowerEstimate:
-    """Whether a comparison of a claim can be decided.
-
-    Args:
-        claim: The claim's id.
-        power: Probability of "holds" were the published difference the truth; None where the paper prints none.
-        runs: Whether this budget has its runs.
-    """
-
-    claim: str
-    power: float | None
-    runs: bool = True
-
-    @property
-    def words(self) -> str:
-        """In words."""
-        if not self.runs:
-            return "not run at this budget"
-        if self.power is None:
-            return "no published difference"
-        return "yes" if self.power >= LIKELY else "perhaps" if self.power >= POSSIBLE else "hardly"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,26 +211,6 @@ def fit_steps(
         f"with the fewest steps, {settings.least_steps} ({parts}); got {core_minutes:.0f}. Runs with fewer steps say "
         "nothing of a method. Give more --minutes, more --workers or another --budget."
     )
-
-
-def outlooks(claims: Claims, runs: Sequence[str], settings: BudgetSettings) -> tuple[PowerEstimate, ...]:
-    """Which claims can be decided by runs of this number of seeds and roads, by the published differences."""
-    roads = sum(settings.sets[name].sequences for name in settings.scored_on if name in settings.sets)
-    s_seq, seeds = S_SEQ * math.sqrt(ROADS / max(roads, 1)), settings.seeds
-    trained = [claim for claim in claims if claims.metrics[claim.metrics[0]].protocol]
-    df = max(1, sum(_has_runs(pair, runs) for claim in trained for pair in claim.pairs) * (seeds - 1))
-    estimates = []
-    for claim, pair in [(declared, pair) for declared in trained for pair in declared.comparisons]:
-        published, has_runs = pair.published(claim.metrics[0]), _has_runs(pair, runs)
-        likely = None
-        if published is not None and has_runs and seeds >= 2:
-            likely = power(published, s_seed=S_SEED, s_seq=s_seq, n=seeds, df=df, hypothesis=pair.hypothesis)
-        estimates.append(PowerEstimate(claim=claim.id, power=likely, runs=has_runs))
-    return tuple(estimates)
-
-
-def _has_runs(pair: Comparison, runs: Sequence[str]) -> bool:
-    return pair.a.run in runs and pair.b.run in runs
 
 
 def described(outline: GridPlan) -> list[str]:

@@ -22,6 +22,7 @@ from farfield.jobs.folders import held
 from farfield.jobs.process import usable_cores
 from farfield.jobs.runs import Progress
 from farfield.papers import planning
+from farfield.papers.claim_rows import SUMMARY, TIMING
 from farfield.papers.claims import Claims
 from farfield.papers.claims import load as load_claims
 from farfield.papers.deciding import DecisionRule, Scores
@@ -30,6 +31,7 @@ from farfield.papers.fingerprints import learnt_fingerprints, note_fingerprints
 from farfield.papers.grid import BudgetSettings, ExperimentGrid, Tree, load_grid
 from farfield.papers.jobs import DataLocations, TrainingJob, jobs_of
 from farfield.papers.locations import DataLocation, fingerprints_of, locations_of, provide, simulation_needed
+from farfield.papers.prospects import outlooks
 from farfield.papers.running import (
     SCORES,
     WEIGHTS,
@@ -51,7 +53,7 @@ from farfield.papers.validation import validation_of
 from farfield.vocabulary.counts import count_of
 from farfield.vocabulary.patterns import PATTERNS
 
-MEASURED, PLAN, SUMMARY, TIMING, PAGE = "measured.json", "plan.json", "reproduction.json", "timing.json", "report.html"
+MEASURED, PLAN, PAGE = "measured.json", "plan.json", "report.html"
 _MAX_BYTES = 1 << 26
 _ACCELERATORS = {"auto": "auto", "cpu": "cpu", "cuda": "gpu"}
 """What a training calls the devices."""
@@ -362,7 +364,7 @@ class Reproduction:
             seeds=settings.seeds,
             cost=cost,
             workers=self.num_workers,
-            outlooks=planning.outlooks(self.claims, runs, settings),
+            outlooks=outlooks(self.claims, runs, settings),
             paces=rates,
             simulating_s=simulating,
         )
@@ -384,7 +386,7 @@ class Reproduction:
             seeds=self.settings.seeds,
             cost=planning.GridCost(simulating=0.0, training=0.0, scoring=0.0),
             workers=self.num_workers,
-            outlooks=planning.outlooks(self.claims, runs, self.settings),
+            outlooks=outlooks(self.claims, runs, self.settings),
         )
 
     def _learnt(self) -> set[str]:

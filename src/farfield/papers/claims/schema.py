@@ -1,7 +1,7 @@
 """A paper's claims: rows of a table, what is compared of them, what the paper published; and how they are read."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -140,6 +140,20 @@ class Claim(DeclaredModel):
         """The trainings that it needs, its controls' too."""
         rows = [row for pair in self.pairs for row in (pair.a, pair.b)]
         return tuple(dict.fromkeys(row.run for row in rows if row.run))
+
+    def verdict(self, verdicts: Sequence[str]) -> str:
+        """The verdict on the claim: it holds where all its comparisons do, and fails where one fails.
+
+        Args:
+            verdicts: Those of its comparisons in one metric, controls left out; ``"not run"`` for one without.
+        """
+        if not verdicts or all(verdict in ("not run", "no decision") for verdict in verdicts):
+            return "not run" if "not run" in verdicts or not verdicts else "no decision"
+        if "holds not" in verdicts:
+            return "holds not"
+        if all(verdict == "holds" for verdict in verdicts):
+            return "holds by construction" if self.by_construction else "holds"
+        return "undecided"
 
 
 class Document(DeclaredModel):
