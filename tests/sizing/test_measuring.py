@@ -14,10 +14,10 @@ from farfield.cli import VERBS
 from farfield.cli._flags import JobFlags
 from farfield.errors import ConfigError, MissingExtraError
 from farfield.jobs import Unit, UnitResult, run, values
+from farfield.simulation.recording import RecordingOptions
 from farfield.sizing import measuring
 from farfield.sizing.cases import NOT_MEASURED, BenchCase, BenchFrames, UnitClock, bytes_of, verb_cases
 from farfield.sizing.measuring import cases_of, disk_rates, inflating_rate, measure_rates, measured, share_of_two
-from farfield.simulation.recording import RecordingOptions
 
 
 def waits(unit: Unit) -> UnitResult:

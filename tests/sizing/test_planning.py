@@ -144,8 +144,16 @@ def test_rates_of_a_busy_machine_are_no_secret() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("machines", 0), ("cores", 0), ("disk_mb_s", 0.0), ("network_mb_s", -1.0), ("price_per_hour", -1.0)]
-    + [("months", -1.0), ("price_per_tb_month", math.inf), ("price_per_tb_egress", math.nan)],
+    [
+        ("machines", 0),
+        ("cores", 0),
+        ("disk_mb_s", 0.0),
+        ("network_mb_s", -1.0),
+        ("price_per_hour", -1.0),
+        ("months", -1.0),
+        ("price_per_tb_month", math.inf),
+        ("price_per_tb_egress", math.nan),
+    ],
 )
 def test_a_number_that_is_none_is_refused(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=f"--{name.replace('_', '-')}: expected a number from"):

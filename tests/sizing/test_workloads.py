@@ -31,7 +31,7 @@ def test_words_that_are_understood(text: str, dataset: str, frames: int) -> None
     ["", "35000", "kradar-35000-frames", "-1h-cirrus", "40h-", "1e5-frames-kradar", "many-frames-kradar", "nanh"],
 )
 def test_words_that_are_not_say_which_are(text: str) -> None:
-    with pytest.raises(ConfigError, match="--for: expected .*(35000-frames-kradar|kradar, cirrus)"):
+    with pytest.raises(ConfigError, match=r"--for: expected .*(35000-frames-kradar|kradar, cirrus)"):
         parse_workload(text)
 
 
