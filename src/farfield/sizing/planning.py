@@ -185,8 +185,8 @@ def plan_work(workload: Workload, rates: MachineRates, fleet: Fleet = Fleet()) -
     elif rates.disk_read_mb_s is not None and rates.disk_write_mb_s is not None:
         disk = (rates.disk_read_mb_s, rates.disk_write_mb_s)
     size, rows, left_out = workload.size, list[ResourcePlan](), list[str]()
-    if size.whole_bytes:
-        whole = workload.frames * size.whole_bytes / size.frames
+    if size.whole_frame_bytes:
+        whole = workload.frames * size.whole_frame_bytes
         moved = _moving(fleet, disk, whole, 0.0)
         dollars = dollars_of(fleet, max(moved.values(), default=0.0), whole / TB, 0.0)
         rows.append(ResourcePlan(name=EVERYTHING, hours_by=moved, tb_in=whole / TB, dollars=dollars))

@@ -28,7 +28,7 @@ class DatasetSize:
         title: What it is called.
         frames: Frames of the published set.
         rate_hz: Frames a second while it drives.
-        whole_bytes: All its files; 0 where nothing is published.
+        whole_frame_bytes: All its files over all its frames; 0 where nothing is published.
         frame_bytes: Bytes of a part of a frame, where published; of other parts the simulated frames' sizes count.
         items: Points of the clouds and pixels of the pictures of a frame, with which times measured on frames of
             another data set are scaled.
@@ -39,7 +39,7 @@ class DatasetSize:
     title: str
     frames: int
     rate_hz: float
-    whole_bytes: float = 0.0
+    whole_frame_bytes: float = 0.0
     frame_bytes: Mapping[str, float] = field(default_factory=dict)
     items: Mapping[str, float]
     packed_bytes: Mapping[str, float] = field(default_factory=dict)
@@ -55,7 +55,7 @@ DATASET_SIZES: Mapping[str, DatasetSize] = {
         title="K-Radar",
         frames=_ANNOTATED,
         rate_hz=10.0,
-        whole_bytes=16e12,
+        whole_frame_bytes=16e12 / 35_000,
         frame_bytes={
             CLOUD: _KRADAR_BYTES["os2-64"],
             CLOUDS: _KRADAR_BYTES["os2-64"] + _KRADAR_BYTES["os1-128"],
@@ -66,7 +66,7 @@ DATASET_SIZES: Mapping[str, DatasetSize] = {
         },
         items={CLOUD: 131_072, CLOUDS: 131_072 + 262_144, CAMERA: _KRADAR_PIXELS, CAMERAS: 4 * _KRADAR_PIXELS},
         packed_bytes={TESSERACT: 64 * 256 * 37 * 107 * 8.0},
-        source="K-Radar's readme and supplement: 34,994 annotated frames of 58 sequences at 10 Hz, 15 to 16 TB in all; "
+        source="K-Radar's readme and supplement: 34,994 annotated frames at 10 Hz, in round numbers 16 TB of 35,000; "
         "tesseracts of the largest sequence (1,195 frames) 360 GB, os1-128 14 GB, os2-64 7 GB, a camera 4.5 GB, labels "
         "0.5 MB. Tensors of 64 x 256 x 37 x 107 doubles are 519 MB: files of 301 MB are packed",
     ),
