@@ -79,7 +79,7 @@ def run_hand(arguments: Sequence[str]) -> int:
         ("  decode unpacked doubles, 0.25 s: core h", 35_000 * RAW_S / 3600, row(slow, "store").core_hours),
         ("  decode packed doubles, 2.144 s: core h", 35_000 * PACKED_S / 3600, row(packed, "store").core_hours),
         ("  tesseracts alone: TB", 35_000 * FILE_BYTES / 1e12, row(slow, "store").tb_in),
-        ("  their store: GB", 35_000 * STORE_BYTES / 1e9, 1e3 * row(slow, "store").tb_out),
+        ("  their store: GB", 35_000 * STORE_BYTES / 1e9, row(slow, "store").tb_out * 1e12 / 1e9),
         ("  16 TB for a year at 20 dollars a TB month", 16 * 12 * STORAGE, row(stored, whole).dollars or 0.0),
         ("  reading at 0.5 dollars an hour", 16e12 / 200e6 / 3600 * HOURLY, row(computed, whole).dollars or 0.0),
         ("1,000 h at 10 Hz: million frames", 1000 * 3600 * 10 / 1e6, drives.frames / 1e6),

@@ -141,10 +141,10 @@ def _print_rates(rates: "MachineRates") -> None:
             rate.name,
             rate.frames_of,
             rate.precision + (" on GPU" if rate.on == "GPU" else ""),
-            f"{1 / rate.median_s:.3g}",
+            _figure(1 / rate.median_s),
             f"{rate.spread:.0%}",
-            f"{bytes_in / 1e6 / rate.median_s:.3g}" if bytes_in else "-",
-            f"{rate.bytes_out / 1e3:.3g}" if rate.bytes_out else "-",
+            _figure(bytes_in / 1e6 / rate.median_s) if bytes_in else "-",
+            _figure(rate.bytes_out / 1e3) if rate.bytes_out else "-",
             str(len(rate.seconds)),
         )
     console(width=140).print(table)
@@ -171,28 +171,37 @@ def _machine(rates: "MachineRates") -> str:
     return f"{', '.join(parts)}; {source}; {rates.date}{warning}"
 
 
+def _figure(value: float) -> str:
+    """Three digits, without an exponent."""
+    if value and value < 0.001:
+        return "< 0.001"
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
 def _print_plan(plan: "PlannedWork", rates: "MachineRates") -> None:
     from rich.table import Table
 
+    from farfield.sizing.planning import RESOURCES
+
     workload, fleet = plan.workload, plan.fleet
     print(_heading(workload, plan))
-    resources = list(dict.fromkeys(name for row in plan.rows for name in row.hours_by))
+    resources = [name for name in RESOURCES if any(name in row.hours_by for row in plan.rows)]
     columns = ["verb or detector", "number type", "core hours", *(f"{name} h" for name in resources), "hours"]
     columns += ["bottleneck", "TB read", "TB written"] + ["dollars"] * fleet.priced
     table = Table(box=None, pad_edge=False)
     for number, column in enumerate(columns):
         table.add_column(column, justify="left" if number < 2 else "right", no_wrap=number == 0)
     for row in plan.rows:
-        hours = [f"{row.hours_by[name]:,.3g}" if name in row.hours_by else "-" for name in resources]
+        hours = [_figure(row.hours_by[name]) if name in row.hours_by else "-" for name in resources]
         table.add_row(
             f"{row.name}{' ~' * row.scaled}",
             row.precision,
-            f"{row.core_hours:,.3g}" if row.core_hours else "-",
+            _figure(row.core_hours) if row.core_hours else "-",
             *hours,
-            f"{row.hours:,.3g}" if row.hours_by else "-",
+            _figure(row.hours) if row.hours_by else "-",
             row.bottleneck or "not known",
-            f"{row.tb_in:,.3g}",
-            f"{row.tb_out:,.3g}",
+            _figure(row.tb_in),
+            _figure(row.tb_out),
             *(["-" if row.dollars is None else f"{row.dollars:,.2f}"] * fleet.priced),
         )
     console(width=160).print(table)
@@ -208,7 +217,7 @@ def _heading(workload: "Workload", plan: "PlannedWork") -> str:
 
     fleet = plan.fleet
     frames = count_of(workload.frames, "frame", spec=",")
-    lines = [f"{frames} of {workload.size.title}: {workload.driving_h:,.3g} h of driving"]
+    lines = [f"{frames} of {workload.size.title}: {_figure(workload.driving_h)} h of driving"]
     machines = f"on {count_of(fleet.machines, 'machine')} of {count_of(plan.cores, 'core')}"
     lines[0] += f"; {machines}, which side by side do {plan.efficiency:.0%} of what each does alone"
     moving = []

@@ -27,6 +27,7 @@ from farfield.sizing.rates import MachineRates, MeasuredRate
 from farfield.sizing.workloads import DATASET_SIZES, Workload
 
 HOUR_S, MB, TB = 3600.0, 1e6, 1e12
+RESOURCES = ("processor", "GPU", "disk", "network")
 EVERYTHING = "reading every file once"
 """The row of the whole data set, whatever is done with it."""
 
