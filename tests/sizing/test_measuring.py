@@ -16,7 +16,7 @@ from farfield.errors import ConfigError, MissingExtraError
 from farfield.jobs import Unit, UnitResult, run, values
 from farfield.simulation.recording import RecordingOptions
 from farfield.sizing import measuring
-from farfield.sizing.cases import NOT_MEASURED, BenchCase, BenchFrames, UnitClock, bytes_of, verb_cases
+from farfield.sizing.cases import NOT_MEASURED, BenchCase, BenchFrames, UnitClock, bytes_of, parts_of, verb_cases
 from farfield.sizing.measuring import cases_of, disk_rates, inflating_rate, measure_rates, measured, share_of_two
 
 
@@ -135,6 +135,22 @@ def test_the_disk_is_measured_and_left_as_it_was(tmp_path: Path) -> None:
     assert read is None or read > 0
     assert not any(tmp_path.iterdir())
     assert inflating_rate() > 0
+
+
+def test_parts_of_frames_are_told_by_the_names_of_their_files() -> None:
+    names = {
+        "Cirrus_dataset1/dataset1_gaussian/1.xyz": ("cloud", "clouds"),
+        "Cirrus_dataset1/dataset1_uniform/1.xyz": ("clouds",),
+        "Cirrus_dataset1/dataset1_camera/1.jpg": ("camera", "cameras"),
+        "Cirrus_dataset1/dataset1_annotation/1.json": ("labels",),
+        "1/os2-64/os2-64_00001.pcd": ("cloud", "clouds"),
+        "1/cam-front/cam-front_00001.png": ("camera", "cameras"),
+        "1/radar_tesseract/tesseract_00001.mat": ("tesseract",),
+        "radar_cells/1/cells_00001.h5": ("cells",),
+        "kradar_revised_label_v2_1/KRadar_revised_visibility/1/00001_00001.txt": ("labels",),
+        "1/info_calib/calib_radar_lidar.txt": (),
+    }
+    assert {name: parts_of(name) for name in names} == names
 
 
 @pytest.mark.parametrize("minutes", [0.0, -1.0, float("nan"), 1e9])

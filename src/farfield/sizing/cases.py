@@ -95,46 +95,31 @@ class BenchFrames:
 
     def sizes(self) -> dict[str, dict[str, float]]:
         """Bytes of each part of a frame, of what was written so far."""
-        made = vars(self)
         sizes: dict[str, dict[str, float]] = {}
-        if "cirrus" in made:
-            names = _bytes_below(self.cirrus.root, FRAMES)
-            clouds = {name: size for (name, suffix), size in names.items() if suffix == ".xyz"}
-            pictures = sum(size for (_, suffix), size in names.items() if suffix in (".jpg", ".png"))
-            labels = sum(size for (name, suffix), size in names.items() if suffix == ".json" and "annotation" in name)
-            gaussian = sum(size for name, size in clouds.items() if "gaussian" in name)
-            sizes["cirrus"] = {
-                CLOUD: gaussian,
-                CLOUDS: sum(clouds.values()),
-                CAMERA: pictures,
-                CAMERAS: pictures,
-                LABELS: labels,
-            }
-        if "kradar" in made:
-            names = _bytes_below(self.kradar.root, FEW)
-            cloud = sum(size for (name, _), size in names.items() if name == "os2-64")
-            cells = sum(size for (_, suffix), size in names.items() if suffix == ".h5")
-            pictures = sum(size for (name, _), size in names.items() if name.startswith("cam-"))
-            labels = sum(size for (name, suffix), size in names.items() if suffix == ".txt" and "label" in name)
-            sizes["kradar"] = {
-                **{CLOUD: cloud, CLOUDS: cloud, CAMERA: pictures, CAMERAS: pictures},
-                **{LABELS: labels, CELLS: cells},
-            }
-        if "tensors" in made:
-            names = _bytes_below(self.tensors.root, FEW)
-            tensors = sum(size for (name, _), size in names.items() if name == "radar_tesseract")
-            sizes.setdefault("kradar", {})[TESSERACT] = tensors
+        for name in ("cirrus", "kradar", "tensors"):
+            if name not in vars(self):
+                continue
+            parts = sizes.setdefault("cirrus" if name == "cirrus" else "kradar", {})
+            data: Dataset = getattr(self, name)
+            for path in {Path(file) for index in range(len(data)) for file in data.files(index)}:
+                for part in parts_of(path.relative_to(data.root).as_posix()):
+                    parts[part] = parts.get(part, 0.0) + path.stat().st_size / len(data)
         return sizes
 
 
-def _bytes_below(root: Path, frames: int) -> dict[tuple[str, str], float]:
-    """Bytes a frame of a tree's files, by folder and suffix."""
-    sizes: dict[tuple[str, str], float] = {}
-    for path in root.rglob("*"):
-        if path.is_file():
-            key = (path.parent.name, path.suffix.lower())
-            sizes[key] = sizes.get(key, 0.0) + path.stat().st_size / frames
-    return sizes
+def parts_of(name: str) -> tuple[str, ...]:
+    """The parts of a frame that a file holds, by its name below a data set in the layout of Cirrus or K-Radar."""
+    if name.endswith(".xyz"):
+        return (CLOUD, CLOUDS) if "_gaussian/" in name else (CLOUDS,)
+    if "os2-64/" in name:
+        return (CLOUD, CLOUDS)
+    if "_camera/" in name or "cam-front/" in name:
+        return (CAMERA, CAMERAS)
+    if "radar_tesseract/" in name:
+        return (TESSERACT,)
+    if name.endswith(".h5"):
+        return (CELLS,)
+    return (LABELS,) if "_annotation/" in name or "label" in name else ()
 
 
 def bytes_of(folder: Path) -> int:
