@@ -7,6 +7,7 @@ import pytest
 from sizing.rates_fixture import machine, rate
 
 from farfield.cli import main
+from farfield.cli._completion import flags_of
 from farfield.sizing import MachineRates, read_rates
 
 Capsys = pytest.CaptureFixture[str]
@@ -73,6 +74,10 @@ def test_what_is_measured_is_printed_and_written(
     assert "two workers side by side do 1.60 times what one does" in text
     assert "left out: anonymize (cirrus): needs cv2" in text
     assert "34,994 frames of K-Radar" in text
+
+
+def test_workloads_are_completed() -> None:
+    assert {"kradar", "35000-frames-kradar"} <= set(flags_of("bench")["--for"])
 
 
 @pytest.mark.parametrize(

@@ -91,10 +91,10 @@ def measure_rates(
         probe = next((made for made in ("cirrus", "kradar") if made in vars(frames)), None)
         two_at_once = None if probe is None else side_by_side(getattr(frames, probe))
         read, write = disk_rates(folder)
-        known = environment()
+        facts = environment()
         return MachineRates(
-            version=known["versions"]["farfield"],
-            commit=known["commit"] or "",
+            version=facts["versions"]["farfield"],
+            commit=facts["commit"] or "",
             date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             processor=processor(),
             cores=num_cores(),
