@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from sizing.rates_fixture import machine, rate
+from made_rates import machine, rate
 
 from farfield.cli import main
 from farfield.cli._completion import flags_of

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from made_rates import machine, rate
 
 from farfield.errors import FileFormatError
 from farfield.sizing import read_rates
-from sizing.rates_fixture import machine, rate
 
 
 @pytest.fixture

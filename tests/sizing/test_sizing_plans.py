@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from made_rates import machine, rate
 
 from farfield.datasets.kradar.store import PUBLISHED_BYTES
 from farfield.errors import ConfigError
@@ -14,7 +15,6 @@ from farfield.sizing.planning import (
     moving_hours,
     parallel_efficiency,
 )
-from sizing.rates_fixture import machine, rate
 
 SECOND = 0.36
 """A frame: 100,000 frames are ten core hours."""
