@@ -92,6 +92,7 @@ def test_workloads_are_completed() -> None:
         (["--for", "kradar", "--rates", "RATES", "--only", "stats"], "--only: expected to measure, got --rates"),
         (["--for", "kradar", "--rates", "RATES", "--device", "cpu"], "--device: expected to measure, got --rates"),
         (["--for", "kradar", "--rates", "RATES", "--json", "RATES"], "which is read"),
+        (["--for", "kradar", "--rates", "RATES", "--minutes", "1"], "--minutes: expected to measure, got --rates"),
         (["--minutes", "0"], "--minutes: expected more than 0"),
         (["--only", "nothing-such"], "--only: expected verbs, detectors"),
     ],

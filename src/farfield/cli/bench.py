@@ -1,6 +1,6 @@
 """``farfield bench``: this machine's rates, and what a whole data set would take on many such."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +11,8 @@ from farfield.cli._output import bar, check_outputs, console, write_json
 
 if TYPE_CHECKING:
     from farfield.sizing import Fleet, MachineRates, PlannedWork, Workload
-    from farfield.sizing.cases import BenchCase
+
+_MINUTES = 2.0
 
 
 def run(
@@ -19,7 +20,7 @@ def run(
     workload: Annotated[str, tyro.conf.arg(name="for", metavar="WORKLOAD")] = "",
     rates: Path | None = None,
     only: tuple[str, ...] = (),
-    minutes: float = 2.0,
+    minutes: float = _MINUTES,
     device: str | None = None,
     machines: int = 1,
     cores: int | None = None,
@@ -86,8 +87,9 @@ def run(
     )
     if planned is None:
         _refuse_without_workload(fleet, rates, months)
-    if rates is not None and (only or device is not None):
-        flag = "--only" if only else "--device"
+    measuring = {"--only": bool(only), "--device": device is not None, "--minutes": minutes != _MINUTES}
+    flag = next((flag for flag, changed in measuring.items() if changed), "")
+    if rates is not None and flag:
         raise ConfigError(f"{flag}: expected to measure, got --rates, whose rates are taken instead")
     measured = _measured(only, minutes, device) if rates is None else read_rates(rates)
     if rates is None:
@@ -120,11 +122,8 @@ def _refuse_without_workload(fleet: "Fleet", rates: Path | None, months: float |
 def _measured(only: Sequence[str], minutes: float, device: str | None) -> "MachineRates":
     from farfield.sizing.measuring import measure_rates
 
-    return measure_rates(minutes=minutes, only=only, device=device, progress=partial(_shown, what="measuring"))
-
-
-def _shown(cases: "Sequence[BenchCase]", what: str) -> "Iterable[BenchCase]":
-    yield from bar(cases, what, transient=True)
+    progress = partial(bar, what="measuring", transient=True)
+    return measure_rates(minutes=minutes, only=only, device=device, progress=progress)
 
 
 def _print_rates(rates: "MachineRates") -> None:
