@@ -64,7 +64,7 @@ _WORDS: Mapping[tuple[str, str], Callable[[], Iterable[str]]] = {
     ("view", "format"): _formats,
     ("experiments", "name"): _experiments,
     ("detectors", "name"): _detectors,
-    ("bench", "for"): _workloads,
+    ("bench", "workload"): _workloads,
 }
 """Words that an argument takes, by verb (all where it is empty) and the argument's name."""
 
