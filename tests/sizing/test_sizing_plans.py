@@ -126,6 +126,15 @@ def test_verbs_measured_on_other_frames_grow_with_points_and_pixels() -> None:
     assert [note for note in plan.notes if note.startswith("~")]
 
 
+def test_the_part_that_grows_most_decides() -> None:
+    """Clouds have 3.4 times the points, pictures 1.5 times the pixels."""
+    work = rate("convert --to kitti", 0.1, frames_of="cirrus", reads=["cloud", "camera", "labels"], bytes_out=1e6)
+    row = row_of(plan_work(parse_workload("36000-frames-kradar"), machine(work)), work.name)
+    scale = 131_072 / 38_255
+    assert row.core_hours == pytest.approx(scale)
+    assert row.tb_out == pytest.approx(0.036 * scale)
+
+
 def test_of_frames_of_two_data_sets_the_workload_s_own_count() -> None:
     both = [rate("stats", 0.1, frames_of="cirrus", reads=["clouds"]), rate("stats", 0.5, reads=["cloud"])]
     for dataset, seconds in (("cirrus", 0.1), ("kradar", 0.5)):

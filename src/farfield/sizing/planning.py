@@ -15,7 +15,7 @@ second, and reads over a network of W bytes a second:
 
 All stages are taken to overlap, and machines not to disturb each other. b_in and b_out are bytes a frame, s is the
 median of ``farfield bench``. Where frames of another data set were measured, s and b_out grow with the points or
-pixels of what is read; where published files are packed and simulated ones are not, s grows by the time that unpacking
+pixels of what is read, as the part that grows most; where published files are packed and simulated ones are not, s grows by the time that unpacking
 takes.
 """
 
@@ -252,8 +252,7 @@ def _needed(rate: MeasuredRate, rates: MachineRates, workload: Workload) -> tupl
     scale = 1.0
     if not own:
         here, there = size.items, DATASET_SIZES[rate.frames_of].items
-        parts = [part for part in rate.reads if part in here and part in there]
-        scale = sum(here[part] for part in parts) / sum(there[part] for part in parts) if parts else 1.0
+        scale = max((here[part] / there[part] for part in rate.reads if part in here and part in there), default=1.0)
     seconds = rate.median_s * scale
     if rates.inflate_mb_s is not None:
         seconds += sum(size.packed_bytes.get(part, 0.0) for part in rate.reads) / (rates.inflate_mb_s * MB)
