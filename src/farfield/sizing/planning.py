@@ -15,8 +15,8 @@ second, and reads over a network of W bytes a second:
 
 All stages are taken to overlap, and machines not to disturb each other. b_in and b_out are bytes a frame, s is the
 median of ``farfield bench``. Where frames of another data set were measured, s and b_out grow with the points or
-pixels of what is read, as the part that grows most; where published files are packed and simulated ones are not, s grows by the time that unpacking
-takes.
+pixels of what is read, as the part that grows most; where published files are packed and simulated ones are not, s
+grows by the time that unpacking takes.
 """
 
 from collections.abc import Mapping, Sequence
