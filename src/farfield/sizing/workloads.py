@@ -10,7 +10,6 @@ from farfield.vocabulary.kradar import SEQUENCES, STEREO_CAMERAS
 
 CLOUD, CLOUDS, CAMERA, CAMERAS = "cloud", "clouds", "camera", "cameras"
 LABELS, CELLS, TESSERACT = "labels", "cells", "tesseract"
-PARTS = (CLOUD, CLOUDS, CAMERA, CAMERAS, LABELS, CELLS, TESSERACT)
 """What a verb reads of a frame: one LiDAR's cloud or all, one camera's picture or all, labels, cells, the 4D tensor."""
 
 MAX_FRAMES = 10**12
