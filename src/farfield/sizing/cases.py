@@ -74,7 +74,7 @@ class BenchFrames:
     @cached_property
     def cirrus(self) -> Dataset:
         """Sweeps of both patterns, a tenth of a second apart, with labels and pictures."""
-        return self._recorded("cirrus-sim", "cirrus", FRAMES, None)
+        return self._recorded("cirrus-sim", "cirrus", FRAMES, "gaussian,uniform,camera")
 
     @cached_property
     def kradar(self) -> Dataset:
@@ -86,7 +86,7 @@ class BenchFrames:
         """4D tensors alone."""
         return self._recorded("kradar-sim", "tensors", FEW, "tesseract")
 
-    def _recorded(self, preset: str, name: str, frames: int, sensors: str | None) -> Dataset:
+    def _recorded(self, preset: str, name: str, frames: int, sensors: str) -> Dataset:
         from farfield.simulation.recording import record
 
         root = self.folder / name
