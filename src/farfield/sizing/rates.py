@@ -19,11 +19,11 @@ Part = Literal["cloud", "clouds", "camera", "cameras", "labels", "cells", "tesse
 Frames = Literal["cirrus", "kradar"]
 
 
-class _Record(BaseModel):
+class _RateRecord(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class MeasuredRate(_Record):
+class MeasuredRate(_RateRecord):
     """How long a verb or a detector takes for a frame.
 
     Args:
@@ -57,7 +57,7 @@ class MeasuredRate(_Record):
         return (max(self.seconds) - min(self.seconds)) / self.median_s
 
 
-class MachineRates(_Record):
+class MachineRates(_RateRecord):
     """What a machine does.
 
     Args:
