@@ -19,6 +19,7 @@ from farfield.sizing.workloads import CAMERA, CAMERAS, CELLS, CLOUD, CLOUDS, LAB
 
 if TYPE_CHECKING:
     from farfield.detectors import Detector
+    from farfield.detectors.onnx.detector import OnnxDetector
 
 FRAMES, FEW = 4, 2
 """Frames of the Cirrus car, and of the K-Radar car, whose tensors have a quarter of a gigabyte each."""
@@ -233,15 +234,14 @@ class _LoadedDetectors:
         self.device = device
         self._loaded: tuple[tuple[str, str], Any] | None = None
 
-    def get(self, name: str, precision: str) -> "Detector":
+    def get(self, name: str, precision: str) -> "Detector | OnnxDetector":
         """The detector of a name in a number type."""
         from farfield.api import load_detector
 
         if self._loaded is None or self._loaded[0] != (name, precision):
             self._loaded = None
             self._loaded = ((name, precision), load_detector(name, precision=precision, device=self.device))
-        detector: Detector = self._loaded[1]
-        return detector
+        return self._loaded[1]
 
 
 def _simulate(preset: str, sensors: str | None, out: Path) -> tuple[float, float]:

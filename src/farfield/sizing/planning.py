@@ -247,7 +247,7 @@ def _needed(rate: MeasuredRate, rates: MachineRates, workload: Workload) -> tupl
     own = rate.frames_of == workload.dataset
     if not own and any(part in ("cells", "tesseract") for part in rate.reads) and workload.dataset == "cirrus":
         return None
-    simulated = rates.sizes.get(workload.dataset, {})
+    simulated = next((parts for name, parts in rates.sizes.items() if name == workload.dataset), {})
     bytes_in = sum(size.frame_bytes.get(part, simulated.get(part, measured.get(part, 0.0))) for part in rate.reads)
     scale = 1.0
     if not own:
