@@ -169,6 +169,7 @@ LEFT_OUT = {
     "compare-results": "writes nothing but its output",
     "annotate": "a server: tests/annotation/test_killed.py, benchmarks/studio_server.py journal",
     "experiments": "writes nothing but its output",
+    "bench": "writes one file at its end; what it measures is each other verb's own work",
 }
 """Verbs without a command here, and why."""
 

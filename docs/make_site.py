@@ -27,6 +27,7 @@ ROOMS = {
     "farfield.sync": "Stamps, clocks, odometry",
     "farfield.calibration": "Calibration",
     "farfield.jobs": "Work over many units",
+    "farfield.sizing": "What a whole data set takes",
     "farfield.pages": "Pictures and pages",
     "farfield.errors": "Errors",
     "farfield.testing": "Checks for other people's parts",

@@ -26,6 +26,7 @@ _VERBS = (
         "formats",
         "detectors",
         "experiments",
+        "bench",
         "train",
         "adapt",
         "reproduce",

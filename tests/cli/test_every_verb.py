@@ -29,6 +29,7 @@ WORDS = {
     "formats": "formats",
     "detectors": "detectors",
     "experiments": "experiments",
+    "bench": "bench --only boxes-csv --minutes 0.05 --json OUT/a.json",
     "train": "train pointpillars-cirrus-sim --out OUT",
     "adapt": "adapt pointpillars-cirrus-sim DATA --out OUT",
     "reproduce": "reproduce cirrus --out OUT",

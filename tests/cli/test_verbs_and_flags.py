@@ -13,6 +13,7 @@ NO_DRY_RUN = {
     "formats": READS_ONLY,
     "detectors": READS_ONLY,
     "experiments": READS_ONLY,
+    "bench": READS_ONLY,
     "compare-results": READS_ONLY,
     "score": READS_ONLY,
     "show": PICTURE,
@@ -33,6 +34,7 @@ NO_OUT = {
     "detectors": "--json is all it writes",
     "formats": "--json is all it writes",
     "experiments": "prints",
+    "bench": "--json is all it writes",
     "compare-results": "prints",
     "view": "writes nothing",
     "new-dataset": "its folder is the one thing it asks for, so it comes without a flag",
@@ -42,7 +44,7 @@ NO_OUT = {
     "import-weights": "its file comes without a flag",
     "export": "its file comes without a flag",
 }
-RESULTS = {"doctor", "stats", "score", "evaluate", "compare", "detectors"}
+RESULTS = {"doctor", "stats", "score", "evaluate", "compare", "detectors", "bench"}
 """Verbs whose result is figures."""
 OPENS = {
     "doctor", "stats", "show", "view", "annotate", "convert", "adapt", "predict", "evaluate", "odometry", "depth",

@@ -23,6 +23,7 @@ GROUPS = {
         "formats": "list the formats that are read and written: how certain, how to open",
         "detectors": "list the detectors with their size, speed and score",
         "experiments": "list the experiments that ship, or print one as YAML",
+        "bench": "measure this machine's rates, and plan what a whole data set takes",
     },
     "look at data": {
         "doctor": "say what a data set holds, what is missing and how to fix it",

@@ -49,6 +49,10 @@ def _columns() -> Iterable[str]:
     return named("farfield.frame.where:COLUMNS")
 
 
+def _workloads() -> Iterable[str]:
+    return ("35000-frames-kradar", "40h-cirrus", "cirrus", "kradar")
+
+
 _WORDS: Mapping[tuple[str, str], Callable[[], Iterable[str]]] = {
     ("", "detector"): _detectors,
     ("", "experiment"): _experiments,
@@ -60,6 +64,7 @@ _WORDS: Mapping[tuple[str, str], Callable[[], Iterable[str]]] = {
     ("view", "format"): _formats,
     ("experiments", "name"): _experiments,
     ("detectors", "name"): _detectors,
+    ("bench", "workload"): _workloads,
 }
 """Words that an argument takes, by verb (all where it is empty) and the argument's name."""
 
