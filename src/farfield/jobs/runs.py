@@ -13,11 +13,8 @@ from farfield.files.outputs import check_room
 from farfield.files.sizes import room, sized
 from farfield.jobs.folders import sweep_out
 from farfield.jobs.journal import JobJournal, state_of
-        if self.address not in ("", "local") and units:  # other machines' cores and memory
-            slots = self.new_engine().slots(work)  # type: ignore[attr-defined]
-            return min(self.workers or slots, slots, units)
 from farfield.jobs.process import check, one_thread, usable_cores
-from farfield.jobs.units import ENGINES, BulkError, FailedTask, JobWork, Unit, UnitResult, alone
+from farfield.jobs.units import ENGINES, BulkError, FailedTask, JobEngine, JobWork, Unit, UnitResult, alone
 from farfield.vocabulary.counts import count_of
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
