@@ -272,6 +272,8 @@ def _connected(address: str, workers: int) -> Any:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     if local:
         os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # Ray's own name for: only on 127.0.0.1
+        os.environ.setdefault("RAY_AUTH_MODE", "token")  # read while Ray is imported
+        os.environ.setdefault(_SECRET, secrets.token_hex(32))
     with _own_signals():
         try:
             import ray
@@ -288,7 +290,7 @@ def _connected(address: str, workers: int) -> Any:
 def _join(ray: Any, address: str) -> None:
     advice = "Start one with 'ray start --head' here, or with 'ray start --address HOST:PORT' join this machine to it."
     host, _, port = address.rpartition(":") if ":" in address else (address, "", _PORT)
-    if address != "auto" and (not host or not port.isdecimal() or int(port) > 0xFFFF):
+    if address != "auto" and (not host or "/" in host or not port.isdecimal() or int(port) > 0xFFFF):
         raise BulkError(f"--address {address}: expected auto, HOST or HOST:PORT, such as 10.0.0.1:6379")
     try:
         if address != "auto":
@@ -302,8 +304,6 @@ def _join(ray: Any, address: str) -> None:
 
 def _start(ray: Any, cores: int) -> None:
     """Start Ray on this machine: on 127.0.0.1 alone, with a password, without dashboard and statistics."""
-    os.environ.setdefault("RAY_AUTH_MODE", "token")
-    os.environ.setdefault(_SECRET, secrets.token_hex(32))
     temporary = Path(tempfile.gettempdir())
     if len(os.fspath(temporary)) > _LONGEST_FOLDER:
         temporary = Path("/tmp")  # noqa: S108 - a new folder in it, of this user alone
@@ -387,9 +387,15 @@ def _own_signals() -> Iterator[None]:
         yield
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    ended = False
     try:
         yield
+    except SystemExit as leaving:  # Ray's handler
+        ended = leaving.code == signal.SIGTERM
+        raise
     finally:
         for number, handler in before.items():
             if handler is not None:
                 signal.signal(number, handler)
+        if ended:
+            signal.raise_signal(signal.SIGTERM)
