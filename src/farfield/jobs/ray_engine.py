@@ -7,6 +7,7 @@ import secrets
 import shutil
 import signal
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -104,7 +105,8 @@ class _RayTasks:
             resources["max_calls"] = 1
         self.task = ray.remote(**resources)(do_units)
         self.home = (os.fspath(Path.cwd()), _version(), secrets.token_hex(8))
-        self.box = [ray.put(packed)]  # in a list, so that Ray does not unpack it for each task
+        paths = [str(Path(entry).absolute()) for entry in sys.path if entry]
+        self.box = [ray.put((paths, packed))]  # in a list, so that Ray does not unpack it for each task
         self.next, self.ahead = 0, 0
         self.again: deque[_Batch] = deque()
         self.under_way: dict[Any, _Batch] = {}
@@ -246,8 +248,10 @@ def _work_of(box: Sequence[Any], folder: str, command_version: str, key: str) ->
             os.environ["NUMBA_NUM_THREADS"] = "1"
             _threads.append(one_thread())
             _threads[0].__enter__()
+        paths, packed = ray.get(box[0])
+        sys.path += [entry for entry in paths if entry not in sys.path]
         _works.clear()
-        _works[key] = pickle.loads(ray.get(box[0]))
+        _works[key] = pickle.loads(packed)
     return _works[key]
 
 
@@ -296,7 +300,7 @@ def _join(ray: Any, address: str) -> None:
         if address != "auto":
             socket.create_connection((host, int(port)), timeout=_CONNECT_S).close()
             address = f"{host}:{port}"
-        ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+        ray.init(address=address, log_to_driver=False, logging_level="CRITICAL")
     except Exception as error:
         raise BulkError(f"--address {address}: expected a Ray cluster, got: {plain(error)}. {advice}") from error
     atexit.register(ray.shutdown)
@@ -320,7 +324,7 @@ def _start(ray: Any, cores: int) -> None:
             include_dashboard=False,
             object_store_memory=_STORE_BYTES,
             log_to_driver=False,
-            logging_level="ERROR",
+            logging_level="CRITICAL",
             _temp_dir=os.fspath(folder),
         )
     except Exception as error:
