@@ -276,6 +276,7 @@ def _connected(address: str, workers: int) -> Any:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     if local:
         os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # Ray's own name for: only on 127.0.0.1
+        os.environ.setdefault("RAY_DASHBOARD_STARTUP_TIMEOUT_S", "0")  # nobody waits for what is switched off
         os.environ.setdefault("RAY_AUTH_MODE", "token")  # read while Ray is imported
         os.environ.setdefault(_SECRET, secrets.token_hex(32))
     with _own_signals():
