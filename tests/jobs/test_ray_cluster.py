@@ -47,7 +47,7 @@ def begin(folder: Path, engine: str, pause_s: float = 0.0, workers: int = 2) -> 
     return subprocess.Popen(words, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True)
 
 
-def said(command: subprocess.Popen[str]) -> str:
+def output_of(command: subprocess.Popen[str]) -> str:
     printed, _ = command.communicate(timeout=600)
     assert command.returncode == 0
     return printed.split("\n")[0]
@@ -63,15 +63,15 @@ def own_folders() -> set[Path]:
 
 def of_ray(command: subprocess.Popen[str], beginning: str = "") -> list[psutil.Process]:
     """Processes of a command's Ray, by the beginning of their names."""
-    found = []
+    processes = []
     for process in psutil.Process(command.pid).children(recursive=True):
         try:
             line = " ".join(process.cmdline())
         except psutil.Error:
             continue
         if line.startswith(beginning):
-            found.append(process)
-    return found
+            processes.append(process)
+    return processes
 
 
 def begun(folder: Path) -> subprocess.Popen[str]:
@@ -89,7 +89,7 @@ def begun(folder: Path) -> subprocess.Popen[str]:
 def expected(tmp_path: Path) -> dict[str, bytes]:
     sources(tmp_path / "in")
     (tmp_path / "one").mkdir()
-    assert said(begin(tmp_path / "one", "local", workers=1)) == "12 0"
+    assert output_of(begin(tmp_path / "one", "local", workers=1)) == "12 0"
     return tree(tmp_path / "one")
 
 
@@ -99,9 +99,9 @@ def test_one_process_two_local_workers_and_two_of_ray_leave_the_same_bytes(
     before = own_folders()
     for engine in ("local", "ray"):
         (tmp_path / engine).mkdir()
-        assert said(begin(tmp_path / engine, engine)) == "12 0"
+        assert output_of(begin(tmp_path / engine, engine)) == "12 0"
         assert tree(tmp_path / engine) == expected
-        assert said(begin(tmp_path / engine, engine)) == "0 12"
+        assert output_of(begin(tmp_path / engine, engine)) == "0 12"
     assert own_folders() <= before
 
 
@@ -110,7 +110,7 @@ def test_a_killed_worker_of_ray_costs_nothing(tmp_path: Path, expected: dict[str
     folder.mkdir()
     command = begun(folder)
     of_ray(command, "ray::do_units")[0].kill()
-    assert said(command) == "12 0"
+    assert output_of(command) == "12 0"
     assert tree(folder) == expected
 
 
@@ -130,7 +130,7 @@ def test_an_ended_command_leaves_no_process_and_goes_on(
     if ending != signal.SIGKILL:
         assert own_folders() <= before
         assert not [*(folder / "out").glob(".*.part")]
-    done = said(begin(folder, "ray"))
+    done = output_of(begin(folder, "ray"))
     assert done.split()[0] not in ("0", "12")
     assert tree(folder) == expected
     assert own_folders() <= before

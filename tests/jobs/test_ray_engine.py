@@ -83,7 +83,7 @@ def test_values_come_in_order_and_no_more_tasks_are_under_way_than_workers(ray: 
     assert [done.value for done in values(works.square, UNITS, two())] == [number**2 for number in range(24)]
     assert ray.most == 2
     assert ray.resources == {"num_cpus": 1, "max_retries": 0}
-    done = [place for place, _ in RayEngine().run(works.square, UNITS, workers=3, ordered=False)]
+    done = [index for index, _ in RayEngine().run(works.square, UNITS, workers=3, ordered=False)]
     assert done != sorted(done) == [*range(24)]
     assert ray.most == 3
 
@@ -144,7 +144,7 @@ def test_of_a_group_that_is_lost_only_the_guilty_unit_is_named(ray: OneByOne) ->
 
     ray.loses = loses
     results = dict(RayEngine().run(works.square, units, workers=2, ordered=True))
-    assert {place for place, result in results.items() if isinstance(result, FailedTask)} == {5}
+    assert {index for index, result in results.items() if isinstance(result, FailedTask)} == {5}
     assert results[5] == FailedTask("was lost with its node")
     assert max(sizes) == local.GROUP
     assert sizes.count(2) == 2  # a task crosses no group: 10, 2, 10, 2

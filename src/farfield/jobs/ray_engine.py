@@ -68,28 +68,28 @@ class RayEngine:
         Raises:
             BulkError: If no node can do one, or none answers.
         """
-        ray, each = _connected(self.address, 1), int(getattr(work, "memory_bytes", 0))
+        ray, needed_bytes = _connected(self.address, 1), int(getattr(work, "memory_bytes", 0))
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
-        slots = [_fits(node, each) for node in nodes]
+        slots = [_fits(node, needed_bytes) for node in nodes]
         if not sum(slots):
             most = max((int(node.get("memory", 0)) for node in nodes), default=0)
             raise BulkError(
-                f"--address {self.address}: expected a node with a core and {sized(each)} of memory for a worker, got "
-                f"{len(nodes)} of at most {sized(most)}. Start nodes with more: ray start --memory BYTES."
+                f"--address {self.address}: expected a node with a core and {sized(needed_bytes)} of memory for a worker, "
+                f"got {len(nodes)} of at most {sized(most)}. Start nodes with more: ray start --memory BYTES."
             )
         return sum(slots)
 
 
-def _fits(node: dict[str, float], each: int) -> int:
+def _fits(node: dict[str, float], needed_bytes: int) -> int:
     cores = int(node.get("CPU", 0))
-    return min(cores, int(node.get("memory", 0) // each)) if each else cores
+    return min(cores, int(node.get("memory", 0) // needed_bytes)) if needed_bytes else cores
 
 
 @dataclass(frozen=True)
 class _Batch:
     """Units that one task does, by their places, and how many of their workers died."""
 
-    places: tuple[int, ...]
+    indices: tuple[int, ...]
     deaths: int = 0
 
 
@@ -112,19 +112,19 @@ class _RayTasks:
         self.under_way: dict[Any, _Batch] = {}
 
     def as_done(self) -> Iterator[tuple[int, UnitResult | FailedTask]]:
-        for place, result in self._results():
+        for index, result in self._results():
             self.ahead -= 1
-            yield place, result
+            yield index, result
 
     def in_order(self) -> Iterator[tuple[int, UnitResult | FailedTask]]:
         early: dict[int, UnitResult | FailedTask] = {}
-        index = 0
-        for place, result in self._results():
-            early[place] = result
-            while index in early:
+        following = 0
+        for index, result in self._results():
+            early[index] = result
+            while following in early:
                 self.ahead -= 1
-                yield index, early.pop(index)
-                index += 1
+                yield following, early.pop(following)
+                following += 1
 
     def _results(self) -> Iterator[tuple[int, UnitResult | FailedTask]]:
         while True:
@@ -140,9 +140,9 @@ class _RayTasks:
         """Keep as many tasks under way as there are workers."""
         while len(self.under_way) < self.workers:
             batch = self.again.popleft() if self.again else self._take()
-            if not batch.places:
+            if not batch.indices:
                 return
-            units = [pickle.dumps(self.units[place], pickle.HIGHEST_PROTOCOL) for place in batch.places]
+            units = [pickle.dumps(self.units[index], pickle.HIGHEST_PROTOCOL) for index in batch.indices]
             self.under_way[self.task.remote(self.box, self.home, units)] = batch
 
     def _take(self) -> _Batch:
@@ -163,20 +163,20 @@ class _RayTasks:
         try:
             answers = pickle.loads(self.ray.get(task))
         except lost as error:
-            if len(batch.places) > 1:  # whose fault it was is seen when each is done alone
-                self.again.extend(_Batch((place,)) for place in batch.places)
+            if len(batch.indices) > 1:  # whose fault it was is seen when each is done alone
+                self.again.extend(_Batch((index,)) for index in batch.indices)
             elif batch.deaths:
-                yield batch.places[0], FailedTask(_why(error))
+                yield batch.indices[0], FailedTask(_why(error))
             else:
-                self.again.append(_Batch(batch.places, 1))
+                self.again.append(_Batch(batch.indices, 1))
             return
         except errors.RayError as error:
             words = str(error).strip().splitlines()
             raise BulkError(f"--engine ray: a task failed: {(words or [type(error).__name__])[-1][:300]}") from error
-        for place, (kind, result) in zip(batch.places, answers, strict=False):  # those behind a failure have none
+        for index, (kind, result) in zip(batch.indices, answers, strict=False):  # those behind a failure have none
             if kind == "failed":
                 raise rebuilt(result)
-            yield place, result
+            yield index, result
 
     def stop(self) -> None:
         """Leave what is under way, so that its own clean-up runs; end what would not leave."""
@@ -309,6 +309,8 @@ def _join(ray: Any, address: str) -> None:
 
 def _start(ray: Any, cores: int) -> None:
     """Start Ray on this machine: on 127.0.0.1 alone, with a password, without dashboard and statistics."""
+    if sys.platform == "win32":
+        raise BulkError("--engine ray: expected --address of a cluster, since Ray starts no own one on Windows here")
     temporary = Path(tempfile.gettempdir())
     if len(os.fspath(temporary)) > _LONGEST_FOLDER:
         temporary = Path("/tmp")  # noqa: S108 - a new folder in it, of this user alone
