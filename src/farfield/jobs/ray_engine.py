@@ -75,7 +75,8 @@ class RayEngine:
             most = max((int(node.get("memory", 0)) for node in nodes), default=0)
             raise BulkError(
                 f"--address {self.address}: expected a node with a core and {sized(needed_bytes)} of memory "
-                f"for a worker, got {len(nodes)} of at most {sized(most)}. Start nodes with more: ray start --memory BYTES."
+                f"for a worker, got {len(nodes)} of at most {sized(most)}. Start nodes with more: ray start "
+                "--memory BYTES."
             )
         return sum(slots)
 
