@@ -29,6 +29,7 @@ from farfield.jobs.worker import answered, travelling
 
 _GLANCE_S = 1.0  # how long a signal waits at most where Ray's own waiting does not see it
 _CONNECT_S = 5.0
+_STARTS = 3
 _PORT = "6379"
 _STORE_BYTES = 200_000_000  # of objects: the work once, and results beyond 100 kB while they pass through
 _FOLDER = "farfield-ray-"
@@ -321,19 +322,25 @@ def _start(ray: Any, cores: int) -> None:
     try_lock(handle)
     _own.append((folder, handle))
     atexit.register(close)
-    try:
-        ray.init(
-            address="local",
-            num_cpus=cores,
-            include_dashboard=False,
-            object_store_memory=_STORE_BYTES,
-            log_to_driver=False,
-            logging_level="CRITICAL",
-            _temp_dir=os.fspath(folder),
-        )
-    except Exception as error:
-        close()
-        raise BulkError(f"--engine ray: Ray could not start on this machine: {plain(error)}") from error
+    failure: Exception | None = None
+    for _ in range(_STARTS):  # Ray gives its own processes 15 to 30 s, which a busy machine may not have
+        try:
+            ray.init(
+                address="local",
+                num_cpus=cores,
+                include_dashboard=False,
+                object_store_memory=_STORE_BYTES,
+                log_to_driver=False,
+                logging_level="CRITICAL",
+                _temp_dir=os.fspath(folder),
+            )
+        except Exception as error:  # noqa: BLE001 - raised below
+            failure = error
+            _end(ray, folder)
+        else:
+            return
+    close()
+    raise BulkError(f"--engine ray: Ray could not start on this machine: {plain(failure or OSError())}") from failure
 
 
 def _sweep(temporary: Path) -> None:
@@ -354,15 +361,27 @@ def close() -> None:
     """End the Ray that this process started, with all its processes and its folder; nothing if there is none."""
     if not _own:
         return
-    import psutil
     import ray
 
     folder, handle = _own.pop()
-    processes = [
-        process
-        for process in psutil.Process().children(recursive=True)
-        if os.fspath(folder) in " ".join(_words(process)) or (_words(process)[:1] and _words(process)[0][:5] == "ray::")
-    ]
+    _end(ray, folder)
+    until = time.monotonic() + PATIENCE_S
+    while folder.exists() and time.monotonic() < until:
+        shutil.rmtree(folder, ignore_errors=True)
+        time.sleep(0.01)
+    os.close(handle)
+    os.environ.pop(_SECRET, None)
+
+
+def _end(ray: Any, folder: Path) -> None:
+    """End all processes of the Ray that has a folder."""
+    import psutil
+
+    processes = []
+    for process in psutil.Process().children(recursive=True):
+        line = " ".join(_words(process))
+        if os.fspath(folder) in line or line.startswith("ray::"):
+            processes.append(process)
     with _own_signals():
         ray.shutdown()
     _, left = psutil.wait_procs(processes, timeout=PATIENCE_S)
@@ -370,12 +389,6 @@ def close() -> None:
         with suppress(psutil.Error):
             process.kill()
     psutil.wait_procs(left, timeout=PATIENCE_S)
-    until = time.monotonic() + PATIENCE_S
-    while folder.exists() and time.monotonic() < until:
-        shutil.rmtree(folder, ignore_errors=True)
-        time.sleep(0.01)
-    os.close(handle)
-    os.environ.pop(_SECRET, None)
 
 
 def _words(process: Any) -> list[str]:
