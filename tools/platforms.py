@@ -32,6 +32,8 @@ SYSTEMS = {
     "macOS, Apple silicon": [f"macosx_{major}_0_arm64" for major in _MACS["arm64"]],
     "macOS, Intel": [f"macosx_{major}_0_x86_64" for major in _MACS["x86_64"]] + ["macosx_10_15_x86_64"],
 }
+APART = {"ray"}
+"""Extras that are not in "all", since few want them and they are large: no development install has their packages."""
 MISSING = re.compile(r"(?:No matching distribution found for|Cannot install) ([\w.-]+)==")
 BEGIN, END = "<!-- platforms: begin -->", "<!-- platforms: end -->"
 
@@ -98,7 +100,7 @@ def without_wheel(names: set[str], tags: list[str], python: str) -> set[str]:
 
 def table() -> str:
     """The table in Markdown; progress goes to the error stream."""
-    groups = {name: needed(texts) & pins().keys() for name, texts in extras().items()}
+    groups = {name: needed(texts) & pins().keys() for name, texts in extras().items() if name not in APART}
     every = set().union(*groups.values())
     missing = {}
     for system, tags in SYSTEMS.items():

@@ -43,6 +43,7 @@ SMOKE = {
     "sensors": "import zstandard",
     "export": "import onnx, onnxscript, onnxruntime, torch",
     "onnx": "import onnxruntime",
+    "ray": "import ray.exceptions",
     "studio": "import starlette, uvicorn, websockets, zstandard, cv2",
     "all": "import torch, embreex, numba, pyarrow, rosbags, lazrs, cv2, av, onnx, starlette",
 }

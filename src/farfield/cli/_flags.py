@@ -179,11 +179,14 @@ class JobFlags:
 
     Args:
         workers: Processes; 0 takes as many as there are cores, units of work and memory for, one on a GPU.
-        engine: Where the work is done: local, or an installed engine's name.
+        engine: Where the work is done: local, ray, or an installed engine's name.
+        address: Ray's cluster: auto for the one that this machine is a node of, or HOST:PORT (default: a Ray of this
+            machine alone, started for the command).
     """
 
     workers: int = 0
     engine: str = "local"
+    address: str = ""
 
     def options(self, what: str, *, workers: int | None = None) -> "JobOptions":
         """What :func:`farfield.jobs.run` takes, with one progress bar over all workers.
@@ -197,6 +200,7 @@ class JobFlags:
         return JobOptions(
             workers=self.workers or (workers or 0),
             engine=self.engine,
+            address=self.address,
             progress=partial(bar, what=what, transient=True),
         )
 

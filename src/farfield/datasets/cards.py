@@ -10,7 +10,7 @@ from farfield.frame.provenance import is_simulated
 CARD_NAME = "CARD.md"
 """The file's name."""
 _COMMAND = "    farfield "
-_IDLE = ("--workers", "--engine", "--overwrite")  # which decide nothing; the first two have a value
+_IDLE = ("--workers", "--engine", "--address", "--overwrite")  # which decide nothing; all but the last have a value
 _MOST_COMMANDS, _MOST_BYTES = 20, 1 << 16
 
 TERMS: tuple[tuple[str, str], ...] = (

@@ -128,6 +128,7 @@ EXTRAS = {
     "onnx": ("export", "onnx"),
     "onnxscript": ("export", "onnxscript"),
     "onnxruntime": ("onnx", "onnxruntime"),
+    "ray": ("ray", "ray"),
     "starlette": ("studio", "starlette"),
     "uvicorn": ("studio", "uvicorn"),
     "websockets": ("studio", "websockets"),

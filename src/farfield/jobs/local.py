@@ -16,9 +16,9 @@ from farfield.jobs.process import VARIABLES, one_thread
 from farfield.jobs.units import BulkError, FailedTask, JobWork, Unit, UnitResult, alone
 from farfield.jobs.worker import receive, send
 
-_GROUP = 10  # units of one group that a worker takes at a time
-_AHEAD = 16  # units under way, for each worker: a slow one holds back those behind it no longer
-_PATIENCE_S = 10.0  # for a worker to end by itself
+GROUP = 10  # units of one group that a worker takes at a time
+AHEAD = 16  # units under way, for each worker: a slow one holds back those behind it no longer
+PATIENCE_S = 10.0  # for a worker to end by itself
 
 Place = tuple[int, Unit]
 
@@ -38,7 +38,7 @@ class LocalEngine:
                 for index, unit in enumerate(units):
                     yield index, work(unit)
             return
-        pool = _WorkerPool(_packed(work), units, workers, alone=alone(work))
+        pool = _WorkerPool(packed_work(work), units, workers, alone=alone(work))
         completed = False
         try:
             pool.start()
@@ -48,7 +48,12 @@ class LocalEngine:
             pool.stop(completed=completed)
 
 
-def _packed(work: JobWork) -> bytes:
+def packed_work(work: JobWork) -> bytes:
+    """A work as it is sent to other processes.
+
+    Raises:
+        BulkError: If it cannot be sent, or stands in the script that asks.
+    """
     try:
         pickled = pickle.dumps(work)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
@@ -77,7 +82,7 @@ class _WorkerPool:
     def __init__(self, work: bytes, units: Sequence[Unit], workers: int, *, alone: bool = False) -> None:
         self.work, self.units, self.alone = work, units, alone
         self.next, self.lock, self.stopping = 0, Lock(), Event()
-        self.room = Semaphore(_AHEAD * workers)
+        self.room = Semaphore(AHEAD * workers)
         self.results: SimpleQueue[tuple[int, Any]] = SimpleQueue()
         self.workers = [_WorkerThread(self) for _ in range(min(workers, len(units)))]
 
@@ -88,7 +93,7 @@ class _WorkerPool:
     def take(self) -> list[Place]:
         """The next units for one worker: one, or a few of one group; none when there are no more."""
         units: list[Place] = []
-        while len(units) < _GROUP:
+        while len(units) < GROUP:
             if not self.room.acquire(blocking=not units):  # who has a unit in hand waits for nobody
                 break
             with self.lock:
@@ -131,7 +136,7 @@ class _WorkerPool:
             if not completed:
                 worker.end()
         for worker in self.workers:
-            worker.join(_PATIENCE_S)
+            worker.join(PATIENCE_S)
             worker.kill()
             worker.join()
 
@@ -172,7 +177,7 @@ class _WorkerThread(Thread):
                 continue
             if self.pool.alone:
                 self._ended()
-            return result if kind == "done" else _rebuilt(result)
+            return result if kind == "done" else rebuilt(result)
         return FailedTask(reason)
 
     def _begin(self) -> "subprocess.Popen[bytes]":
@@ -190,7 +195,7 @@ class _WorkerThread(Thread):
                 reason = self._ended()
                 continue
             if kind != "ready":
-                raise _rebuilt(result)
+                raise rebuilt(result)
             return process
         raise BulkError(f"a worker process could not start: it {reason}")
 
@@ -243,7 +248,7 @@ def _close(pipe: IO[bytes] | None) -> None:
             pipe.close()
 
 
-def _rebuilt(error: tuple[bytes, str]) -> BaseException:
+def rebuilt(error: tuple[bytes, str]) -> BaseException:
     """The exception of a worker, or its words where it does not travel."""
     packed, text = error
     with suppress(Exception):

@@ -3,17 +3,18 @@
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, MissingExtraError
 from farfield.files.marks import Mark, mark_of
 from farfield.files.outputs import check_room
 from farfield.files.sizes import room, sized
 from farfield.jobs.folders import sweep_out
 from farfield.jobs.journal import JobJournal, state_of
 from farfield.jobs.process import check, one_thread, usable_cores
-from farfield.jobs.units import ENGINES, BulkError, FailedTask, JobWork, Unit, UnitResult, alone
+from farfield.jobs.units import ENGINES, BulkError, FailedTask, JobEngine, JobWork, Unit, UnitResult, alone
 from farfield.vocabulary.counts import count_of
 
 Progress = Callable[[Iterable[int]], Iterable[int]]
@@ -31,16 +32,29 @@ class JobOptions:
         workers: Processes, one thread each; 1 works in this process, 0 takes as many as there are cores, work and
             memory for.
         engine: Where: a name of ``ENGINES``.
+        address: Of the Ray cluster: ``auto``, ``HOST:PORT``, or nothing for one of this machine.
         progress: Wraps the numbers of the units that are left, to show progress.
     """
 
     workers: int = 1
     engine: str = "local"
+    address: str = ""
     progress: Progress = iter
 
     def __post_init__(self) -> None:
         if self.workers < 0:
             raise ConfigError(f"workers: expected 1 or more, or 0 for as many as there are cores; got {self.workers}")
+        if self.address and self.engine != "ray":
+            raise ConfigError(
+                f"--address {self.address}: expected --engine ray, whose cluster it names; got --engine {self.engine}"
+            )
+        if self.engine == "ray" and find_spec("ray") is None:
+            raise MissingExtraError("ray", "ray", "--engine ray")
+
+    def new_engine(self) -> JobEngine:
+        """What does the units."""
+        engine: Any = ENGINES[self.engine]
+        return engine(self.address) if self.address else engine()
 
     def num_workers(self, work: JobWork, units: int) -> int:
         """How many workers do so many units.
@@ -48,6 +62,9 @@ class JobOptions:
         Raises:
             BulkError: If the memory does not suffice.
         """
+        if self.address not in ("", "local") and units:  # other machines' cores and memory
+            slots = self.new_engine().slots(work)  # type: ignore[attr-defined]
+            return min(self.workers or slots, slots, units)
         workers = min(self.workers, units) if self.workers else min(usable_cores(), units // _WORTH)
         return fitting(max(1, workers), getattr(work, "memory_bytes", 0), exactly=self.workers > 0)
 
@@ -96,7 +113,7 @@ class JobRun:
     def __init__(
         self, work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE, *, journal: JobJournal | None = None
     ) -> None:
-        self.work, self.units, self.journal, self._engine = work, units, journal, bulk.engine
+        self.work, self.units, self.journal, self._bulk = work, units, journal, bulk
         if journal is not None and journal.files:
             sweep_out(journal.folder)
         self.left = [row for row, unit in enumerate(units) if journal is None or not journal.has(unit)]
@@ -162,7 +179,7 @@ class JobRun:
         journal = self.journal
         marking = self.work if journal is None else _JournalledUnit(self.work, journal.folder, journal.setting)
         units = [self.unit(number) for number in range(len(self.left))]
-        with closing(_results(self._engine, marking, units, self._workers, ordered=False)) as results:
+        with closing(_results(self._bulk, marking, units, self._workers, ordered=False)) as results:
             for number, result in results:
                 if isinstance(result, FailedTask):
                     self._lost.append((units[number].name, result.why))
@@ -216,7 +233,7 @@ def values(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE) -> Ite
         BulkError: If workers died twice over a unit.
     """
     failed = list[tuple[str, str]]()
-    with closing(_results(bulk.engine, work, units, bulk.num_workers(work, len(units)), ordered=True)) as results:
+    with closing(_results(bulk, work, units, bulk.num_workers(work, len(units)), ordered=True)) as results:
         for _ in bulk.progress(range(len(units))):
             index, result = next(results)
             if isinstance(result, FailedTask):
@@ -228,11 +245,11 @@ def values(work: JobWork, units: Sequence[Unit], bulk: JobOptions = HERE) -> Ite
 
 
 def _results(
-    engine: str, work: JobWork, units: Sequence[Unit], workers: int, *, ordered: bool
+    bulk: JobOptions, work: JobWork, units: Sequence[Unit], workers: int, *, ordered: bool
 ) -> Generator[tuple[int, UnitResult | FailedTask], None, None]:
     """What an engine gives of units, none included."""
     if units:
-        yield from ENGINES[engine]().run(work, units, workers=workers, ordered=ordered)
+        yield from bulk.new_engine().run(work, units, workers=workers, ordered=ordered)
 
 
 def _raise_for(failed: Sequence[tuple[str, str]], units: int) -> None:

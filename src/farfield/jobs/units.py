@@ -110,6 +110,8 @@ class JobEngine(Protocol):
 
 
 ENGINES: Registry[type[JobEngine]] = Registry(
-    "farfield.engines", "bulk engine", {"local": "farfield.jobs.local:LocalEngine"}
+    "farfield.engines",
+    "bulk engine",
+    {"local": "farfield.jobs.local:LocalEngine", "ray": "farfield.jobs.ray_engine:RayEngine"},
 )
 """Engines by name."""

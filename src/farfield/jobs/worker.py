@@ -9,7 +9,10 @@ from io import FileIO
 from queue import SimpleQueue
 from threading import Thread, Timer
 from types import FrameType
-from typing import IO, Any, NoReturn
+from typing import IO, TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from farfield.jobs.units import JobWork
 
 _LEAVE_S = 5.0
 
@@ -64,20 +67,26 @@ def _serve(inbox: _Inbox, outbox: IO[bytes]) -> None:
     try:
         work = pickle.loads(packed)
     except Exception as error:  # noqa: BLE001 - the command raises it
-        send(outbox, ("failed", _travelling(error)))
+        send(outbox, ("failed", travelling(error)))
         return
     inbox.busy = False
     send(outbox, ("ready", None))
     while (packed := inbox.messages.get()) is not None:
-        try:
-            answer: tuple[str, Any] = ("done", work(pickle.loads(packed)))
-        except Exception as error:  # noqa: BLE001 - the command raises it
-            answer = ("failed", _travelling(error))
+        answer = answered(work, packed)
         inbox.busy = False
         send(outbox, answer)
 
 
-def _travelling(error: Exception) -> tuple[bytes, str]:
+def answered(work: "JobWork", packed: bytes) -> tuple[str, Any]:
+    """What a packed unit gave, or how it failed, as it is sent back to the command."""
+    try:
+        return "done", work(pickle.loads(packed))
+    except Exception as error:  # noqa: BLE001 - the command raises it
+        return "failed", travelling(error)
+
+
+def travelling(error: Exception) -> tuple[bytes, str]:
+    """An exception, packed, and its words, which stand alone where it does not pickle."""
     text = "".join(traceback.format_exception_only(error)).strip()
     try:
         packed = pickle.dumps(error)

@@ -40,7 +40,9 @@ class RecordingOptions:
         world: What stands beside and on the roads: v2, or v3 with plants that rays enter, street furniture, rows of
             parked vehicles and bodies with the surfaces of real ones. The preset's own unless given.
         workers: Processes; 0 takes as many as there are cores, frames and memory for.
-        engine: Where the frames are simulated: local, or an installed engine's name.
+        engine: Where the frames are simulated: local, ray, or an installed engine's name.
+        address: Ray's cluster: auto for the one that this machine is a node of, or HOST:PORT (default: a Ray of this
+            machine alone, started for the command).
         cache: Also write the binary cache that makes reading fast (Cirrus). Not with --recording.
         recording: Write the raw streams of each drive of the Cirrus car instead of frames: a ROS 2 bag (MCAP) with the
             LiDARs at 10 Hz, the camera at 30 Hz (320 pixels wide), two IMUs at 100 Hz, GPS at 1 Hz and the car's pose,
@@ -60,6 +62,7 @@ class RecordingOptions:
     world: World | None = None
     workers: int = 0
     engine: str = "local"
+    address: str = ""
     cache: bool = False
     recording: bool = False
     dry_run: bool = False

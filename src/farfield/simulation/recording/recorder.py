@@ -77,7 +77,7 @@ def record(
     report = report or silent
     chosen = RecordingOptions(**options)
     recording = chosen.resolve(preset, Path(out))
-    jobs = JobOptions(workers=chosen.workers, engine=chosen.engine, progress=progress)
+    jobs = JobOptions(workers=chosen.workers, engine=chosen.engine, address=chosen.address, progress=progress)
     work, units = Simulate(recording), units_of(recording)
     if chosen.dry_run:
         for line in announced(recording, len(units), jobs.num_workers(work, len(units))):

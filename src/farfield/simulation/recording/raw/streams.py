@@ -105,7 +105,7 @@ def record_streams(
             _check_room(recording, missing / len(units))
             _clear(recording)
         # simulate and write the files that are missing
-        jobs = JobOptions(workers=chosen.workers, engine=chosen.engine, progress=progress)
+        jobs = JobOptions(workers=chosen.workers, engine=chosen.engine, address=chosen.address, progress=progress)
         outcome = run(work, units, jobs, journal=journal)
         # the truth of each drive, then what makes its files a bag
         bags, truths = [], []
