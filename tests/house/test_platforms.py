@@ -25,6 +25,8 @@ GUARDED = {
     ("files/laz_worker.py", "resource"),  # where it can be imported
     ("privacy/anonymising.py", "resource"),  # the same
     ("jobs/process.py", "os.sched_getaffinity"),  # behind hasattr
+    ("sizing/measuring.py", "os.getloadavg"),  # the same
+    ("sizing/measuring.py", "os.posix_fadvise"),  # the same
 }
 
 

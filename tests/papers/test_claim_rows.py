@@ -99,7 +99,7 @@ def test_cells_say_what_was_published_found_and_controlled() -> None:
 
 def test_what_would_decide_is_the_smallest_larger_budget() -> None:
     rows = by_id(summary(verdicts={"C9": "undecided", "C10": "undecided", "C8": "undecided", "C1": "holds"}))
-    assert rows["C9"].would_decide({"workstation": 36728}) == "perhaps budget workstation (612 core hours)"
+    assert rows["C9"].would_decide({"workstation": 36728.0}) == "perhaps budget workstation (612 core hours)"
     assert rows["C9"].would_decide() == "perhaps budget workstation (--plan says what it costs)"
     assert rows["C10"].would_decide() == "no larger budget: too small a difference for its seeds"
     assert rows["C8"].would_decide() == "the paper prints no difference to plan by"

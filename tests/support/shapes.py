@@ -6,7 +6,7 @@ messages are its own (``test_shapes.py`` compares them).
 
 import inspect
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
 from types import SimpleNamespace
 from typing import Any, ForwardRef, TypeVar, get_args
 
@@ -59,8 +59,19 @@ def typed(function: Any = _decorator._sentinel, *, typechecker: Any = _decorator
         if getattr(function, "__no_type_check__", False):
             return function
         if without_arrays(function):
-            return _CHECKS(function)
+            return _switched(function, _CHECKS(function))
     return _jaxtypings_decorator(function, typechecker=typechecker)
+
+
+def _switched(function: Function, checked_one: Function) -> Function:
+    """The checked function, or the bare one while the tests switch jaxtyping's checks off."""
+    config = jaxtyping.config
+
+    @wraps(function)
+    def either(*args: Any, **kwargs: Any) -> Any:
+        return function(*args, **kwargs) if config.jaxtyping_disable else checked_one(*args, **kwargs)
+
+    return either  # type: ignore[return-value]
 
 
 class _Bound:

@@ -17,6 +17,7 @@ from farfield.datasets import Dataset
 from farfield.errors import ConfigError, MissingExtraError
 from farfield.frame.provenance import environment, processor
 from farfield.jobs import JobOptions, Unit, UnitResult, values
+from farfield.jobs.process import usable_cores
 from farfield.sizing.cases import BenchCase, BenchFrames, detector_cases, verb_cases
 from farfield.sizing.rates import MachineRates, MeasuredRate
 
@@ -97,7 +98,7 @@ def measure_rates(
             commit=facts["commit"] or "",
             date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             processor=processor(),
-            cores=num_cores(),
+            cores=usable_cores(),
             memory_bytes=_memory_bytes(),
             gpu=gpu,
             load=load,
@@ -134,11 +135,6 @@ def measured(case: BenchCase, out: Path, share_s: float) -> MeasuredRate:
         seconds=tuple(seconds for seconds, _ in counted),
         bytes_out=statistics.median(size for _, size in counted),
     )
-
-
-def num_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _memory_bytes() -> float:
@@ -186,7 +182,7 @@ def side_by_side(frames: Dataset) -> float | None:
     Args:
         frames: What they read.
     """
-    if num_cores() < 2:
+    if usable_cores() < 2:
         return None
     units = [Unit(str(number), parameters=number) for number in range(_SIDE_BY_SIDE)]
     alone = [result.value for result in values(ReadingTrial(frames), units[:_ALONE], JobOptions(workers=1))]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from farfield.errors import FileFormatError
+from farfield.errors import FileFormatError, fault_of
 from farfield.files.json_text import read_json
 
 MAX_RATES_BYTES = 4_000_000
@@ -121,6 +121,6 @@ def read_rates(path: Path) -> MachineRates:
             path,
             where=where[:200],
             expected="the rates that farfield bench --json writes",
-            got=f"another value ({first['msg'][:200]})",
+            got=fault_of(first)[:200],
             fix="Measure again: farfield bench --json FILE.",
         ) from error

@@ -40,7 +40,7 @@ class DatasetSize:
     rate_hz: float
     whole_frame_bytes: float = 0.0
     frame_bytes: Mapping[str, float] = field(default_factory=dict)
-    items: Mapping[str, float]
+    items: Mapping[str, int]
     packed_bytes: Mapping[str, float] = field(default_factory=dict)
     source: str
 
