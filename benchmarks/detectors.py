@@ -19,6 +19,8 @@ from PIL import Image
 
 from farfield.api import load_detector, open_dataset
 from farfield.datasets.base import Dataset
+from farfield.datasets.open_sweeps import package_places
+from farfield.detectors.info import SIMULATED_FAMILIES, family_with_start, open_places
 from farfield.detectors.weights import bundled_weights, resolve_weights
 from farfield.evaluation import detect, median_ms
 from farfield.evaluation.leakage import seen_in_training
@@ -332,10 +334,13 @@ def scene_of(frame: Frame) -> str:
 
 
 def learnt_from(data: Dataset, provenance: Mapping[str, Any]) -> str:
-    """What a detector saw of some frames in training: nothing where all it learnt from was simulated."""
+    """What a detector saw of some frames in training: nothing where it learnt from simulation and Open Sweeps alone."""
     simulate = provenance.get("experiment", {}).get("data", {}).get("simulate")
     if simulate and not provenance.get("start") and not provenance.get("adapted"):
         return f"nothing: simulated frames only ({simulate['preset']})"
+    places = open_places(provenance)
+    if family_with_start(provenance) in SIMULATED_FAMILIES and places is not None and not package_places(data):
+        return f"nothing: simulated frames, Open Sweeps ({', '.join(places)})"
     return seen_in_training(data, provenance, set(data.keys))[0]
 
 

@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -123,6 +124,8 @@ def fuzz(target: Target, count: int, folder: Path, *, seed: int = 0) -> Tally:
         except Exception as error:
             fault = f"{type(error).__name__}: {error}"[:160]
         elapsed = time.process_time() - start
+        if elapsed > LIMIT_S:  # the first file that needs a module pays for its import
+            elapsed = min(elapsed, processor_s(target, path))
         tally.slowest_s = max(tally.slowest_s, elapsed)
         fault = fault or (f"took {elapsed:.1f} s" if elapsed > LIMIT_S else None)
         if fault:
@@ -134,6 +137,14 @@ def fuzz(target: Target, count: int, folder: Path, *, seed: int = 0) -> Tally:
         faults[f"a pickle was loaded: {pickles[0]}"] += len(pickles)
     tally.faults = tuple(f"{number} x {fault}" for fault, number in faults.most_common(5))
     return tally
+
+
+def processor_s(target: Target, path: Path) -> float:
+    """How long reading a file takes of the processor, whatever comes of it."""
+    start = time.process_time()
+    with suppress(Exception):
+        target.valid(target.read(path))
+    return time.process_time() - start
 
 
 def watch_pickles() -> list[str]:

@@ -2,6 +2,7 @@
 
     python tools/shipped_figures.py figures
     python tools/shipped_figures.py real [REAL] [--printed]
+    python tools/shipped_figures.py roads RUN
     python tools/shipped_figures.py weights [RTNH_RUN POINTPILLARS_RUN] [--weights-only]
                                             [--drives N] [--frames N] [--workers N]
 
@@ -13,6 +14,9 @@ in docs/detectors.md too. Those of the equal budget stay as ``detectors.py budge
 ``real`` makes README's table of real frames anew: it runs ``detectors.py real`` on the frames of REAL (with
 ``--printed``, takes what that printed last) and writes a row for each set of frames: scores by range, objects scored,
 scenes, and what of the frames was seen in training.
+
+``roads`` writes the weights of RUN, a folder that ``make train-roads`` leaves, into weights_data as
+``pointpillars-roads``, in float16 and without folders of a machine.
 
 ``weights``: a RUN is the folder of a finished training: ``farfield train rtnh-kradar-sim`` and
 ``pointpillars-kradar-sim`` with ``-o training.steps=1500 -o data.simulate.frames=4`` make the shipped ones. In this
@@ -226,30 +230,38 @@ SCORED = "kradar-sim-shipped"
 
 
 def without_machine(provenance: dict[str, Any]) -> dict[str, Any]:
-    """The provenance whose data stand in ``data/NAME``, wherever the machine had them."""
-    kept = deepcopy(provenance)
-    data = kept["experiment"]["data"]
-    for part in [data] if "path" in data else data.values():
-        part["path"] = f"data/{Path(part['path']).name}"
-    return {**kept, "scored": SCORED}
+    """The provenance without folders of a machine: data in ``data/NAME``, other files by their names."""
+    portable = deepcopy(provenance)
+    experiment = portable["experiment"]
+    data, training = experiment["data"], experiment.get("training", {})
+    for stream in [data] if "path" in data else data.values():
+        if not stream.get("donors"):  # donors are named, they lie in no folder
+            stream["path"] = f"data/{Path(stream['path']).name}"
+    if training.get("negatives"):
+        training["negatives"] = Path(training["negatives"]).name
+    for start in (training.get("start"), portable.get("start")):
+        if start and start.get("weights"):
+            start["weights"] = "/".join(Path(start["weights"]).parts[-2:])  # stage and file
+    return portable
 
 
-def ship(run: str | Path, name: str, folder: Path = FIGURES.parent) -> Path:
-    """Write the weights of a run in float16 under a name; return the file."""
+def ship(run: str | Path, name: str, folder: Path = FIGURES.parent, *, scored: str = "") -> Path:
+    """Write the weights of a run in float16 under a name, with the data that scored them; return the file."""
     network, provenance = load_weights(resolve_weights(run))
     trained = provenance["experiment"]["detector"]["name"]
     if not name.startswith(f"{trained}-"):
         raise SystemExit(f"{run}: expected a run of {name.partition('-')[0]}, got {trained}")
     target = folder / f"{name}.safetensors"
     state, config = network.state_dict(), network.config
-    save_weights(target, state, config=config, provenance=without_machine(provenance), half=True)
+    record = without_machine(provenance) | ({"scored": scored} if scored else {})
+    save_weights(target, state, config=config, provenance=record, half=True)
     return target
 
 
 def ship_weights(options: argparse.Namespace) -> None:
     """Write both files, score them, bring the figures in line, draw the demonstration's picture."""
     for run, name in zip(options.runs, RADAR_WEIGHTS, strict=True):
-        path = ship(run, name)
+        path = ship(run, name, scored=SCORED)
         print(f"written: {path.relative_to(ROOT)}, {path.stat().st_size:,} bytes", flush=True)
     if options.weights_only:
         return
@@ -271,6 +283,8 @@ def main() -> None:
     real = verbs.add_parser("real")
     real.add_argument("real", nargs="?", type=Path, help="folder of real frames; shared/real beside the project")
     real.add_argument("--printed", action="store_true", help="take what the benchmark printed last")
+    roads = verbs.add_parser("roads")
+    roads.add_argument("run", help="a finished training for real roads: its folder or its weights")
     weights = verbs.add_parser("weights")
     weights.add_argument("runs", nargs="*", default=[f"runs/{name}" for name in RADAR_WEIGHTS])
     weights.add_argument("--weights-only", action="store_true", help="write the two files and do no more")
@@ -283,6 +297,10 @@ def main() -> None:
         return
     if options.verb == "real":
         list_real(options.real, printed=options.printed)
+        return
+    if options.verb == "roads":
+        path = ship(options.run, "pointpillars-roads")
+        print(f"written: {path.relative_to(ROOT)}, {path.stat().st_size:,} bytes")
         return
     if len(options.runs) != len(RADAR_WEIGHTS):
         parser.error(f"expected a run for each of {', '.join(RADAR_WEIGHTS)}, got {len(options.runs)}")

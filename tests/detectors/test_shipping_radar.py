@@ -73,6 +73,17 @@ def test_provenance_names_no_folder_of_a_machine() -> None:
     assert (paths["one"]["path"], paths["two"]["path"]) == ("data/b", "data/c")
 
 
+def test_provenance_of_stages_names_no_folder_of_a_machine() -> None:
+    start = {"weights": "/elsewhere/runs/roads/first/weights.safetensors"}
+    streams = {"cirrus": {"path": "/elsewhere/data/cirrus"}, "donors": {"path": "open-sweeps", "donors": {"copies": 3}}}
+    training = {"negatives": "/elsewhere/runs/roads/negatives.json", "start": dict(start)}
+    portable = shipped_figures.without_machine({"experiment": {"data": streams, "training": training}, "start": start})
+    assert "elsewhere" not in json.dumps(portable)
+    assert portable["start"]["weights"] == "first/weights.safetensors"
+    assert portable["experiment"]["training"]["negatives"] == "negatives.json"
+    assert portable["experiment"]["data"]["donors"]["path"] == "open-sweeps"
+
+
 def test_a_run_is_shipped_in_float16(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
     from safetensors import safe_open

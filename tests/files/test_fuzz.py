@@ -41,7 +41,7 @@ READERS = (
 
 FORMS = (
     *("yaml class mapping", "yaml cirrus mapping", "yaml calibration", "json calibration", "json nuscenes"),
-    *("json results", "json evaluation", "edits", "job journal"),
+    *("json results", "json evaluation", "json mmdetection3d", "kit's texts", "edits", "job journal"),
     *(("yaml experiment", "weights' settings", "checkpoint's tensors") if importlib.util.find_spec("torch") else ()),
     *(("form of bag.mcap", "form of bag.db3") if importlib.util.find_spec("rosbags") else ()),
 )
@@ -95,13 +95,34 @@ def form_targets(fuzzer: ModuleType, tmp_path_factory: pytest.TempPathFactory) -
     return made
 
 
+@pytest.mark.parametrize(("slow_reads", "faults"), [(1, 0), (2, 1)])
+def test_what_is_slow_twice_counts(
+    fuzzer: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slow_reads: int, faults: int
+) -> None:
+    """The first file that needs a module pays for its import."""
+    clock, reads = [0.0], [0]
+
+    def read(path: Path) -> np.ndarray:
+        reads[0] += 1
+        clock[0] += 3.0 if reads[0] <= slow_reads else 0.1
+        return np.ones((1, 3))
+
+    monkeypatch.setattr(fuzzer.time, "process_time", lambda: clock[0])
+    tally = fuzzer.fuzz(fuzzer.Target(".xyz", read, (b"1,2\n",), fuzzer.finite_rows), 1, tmp_path)
+    assert len(tally.faults) == faults
+
+
+@pytest.mark.slow
+def test_every_form_is_tried(form_targets: dict[str, Any]) -> None:
+    assert tuple(form_targets) == FORMS
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_settings_records_and_journals_changed_in_their_structure(
     fuzzer: ModuleType, form_targets: dict[str, Any], tmp_path: Path, form: str
 ) -> None:
     """A sample of the part ``forms``, which changes 500 of each in processes of limited memory."""
-    assert tuple(form_targets) == FORMS
     tally = fuzzer.fuzz(form_targets[form], 60, tmp_path, seed=2)
     assert tally.faults == ()
     assert tally.errors > 20

@@ -77,6 +77,24 @@ def open_places(provenance: Mapping[str, Any]) -> tuple[str, ...] | None:
     return () if none_earlier and all(group.get("simulate") for group in groups) else None
 
 
+SIMULATED_FAMILIES = ("simulation", "simulation with open donors")
+"""Families of weights that learnt from no annotation of a real road but those of Open Sweeps."""
+
+
+def family_with_start(provenance: Mapping[str, Any]) -> str:
+    """What weights learnt from, those that their training started from included; empty where it is not known.
+
+    Args:
+        provenance: The record of the training. ``start`` says its ``family``; weights that were adapted have none.
+    """
+    data = (provenance.get("experiment") or {}).get("data") or {}
+    family = str(provenance.get("family") or ("simulation" if data.get("simulate") else ""))
+    start = provenance.get("start")
+    if provenance.get("adapted") or (start and start.get("family") not in SIMULATED_FAMILIES):
+        return ""
+    return start["family"] if start and family == "simulation" else family
+
+
 @runtime_checkable
 class DescribedDetector(Protocol):
     """A detector that carries its description: a :class:`~farfield.detectors.runtime.Detector`, or a function's."""

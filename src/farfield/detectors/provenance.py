@@ -68,6 +68,7 @@ class _Start(_Record):
     weights: str = ""
     frame_digests: str | None = None
     open_sweeps: list[str] | None = None
+    family: str = ""
 
 
 class _Adapted(_Record):

@@ -13,7 +13,7 @@ from farfield.datasets import Dataset
 from farfield.datasets.contents import frame_digests
 from farfield.datasets.open_sweeps import package_places
 from farfield.detectors import build_detector
-from farfield.detectors.info import open_places
+from farfield.detectors.info import family_with_start, open_places
 from farfield.detectors.weights import load_weights, resolve_weights
 from farfield.errors import ConfigError, FileFormatError, plain
 from farfield.evaluation.leakage import digests_text
@@ -321,6 +321,7 @@ class Plan:
             learnt = {
                 "frame_digests": digests_text(before),
                 "open_sweeps": None if places is None else list(places),
+                "family": family_with_start(before),
             }
             return {"start": {**transfer.brief(), **learnt}}
         path = self.folder / START_NAME
@@ -336,6 +337,9 @@ class Plan:
             start["open_sweeps"] = locations
             if not isinstance(locations, list | None) or not all(isinstance(text, str) for text in locations or ()):
                 raise TypeError("places that are no list of names")
+            start["family"] = written.get("family", "")
+            if not isinstance(start["family"], str):
+                raise TypeError("a family that is no text")
             return {"start": start}
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             fix = "Remove the run's folder to begin anew."
