@@ -409,7 +409,7 @@ def run_real(arguments: Sequence[str]) -> None:
     """
     parser = part_parser(run_real.__doc__)
     parser.add_argument("real", type=Path, nargs="?", default=SHARED_REAL)
-    parser.add_argument("--detectors", nargs="+", default=["pointpillars-cirrus-sim"])
+    parser.add_argument("--detectors", nargs="+", default=["pointpillars-cirrus-sim", "pointpillars-roads"])
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--only", help="of the data sets, those whose title has this word")
     options = parser.parse_args(arguments)

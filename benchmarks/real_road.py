@@ -51,6 +51,7 @@ from farfield.vocabulary.conditions import WORLDS
 
 DETECTORS = (
     "pointpillars-cirrus-sim",
+    "pointpillars-roads",
     "voxelnet-cirrus-sim",
     "second-cirrus-sim",
     "sparsecentre-cirrus-sim",

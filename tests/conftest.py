@@ -69,6 +69,12 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     return _roomy(partial(runner.pytest_runtest_protocol, item, nextitem))
 
 
+def pytest_runtest_setup() -> None:
+    """Check the first calls of every function anew in each test (``tests/support/shapes.py``)."""
+    if "shapes" in sys.modules:
+        sys.modules["shapes"].begin_test()
+
+
 def pytest_runtest_teardown() -> None:
     """Give back the threads that a test's training took: they would quarrel with the other workers ever after."""
     if "torch" in sys.modules:

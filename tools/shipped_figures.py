@@ -47,6 +47,8 @@ RESULTS = ROOT / "benchmarks" / "results"
 FIGURES = ROOT / "src" / "farfield" / "detectors" / "weights_data" / "figures.json"
 RANGES = ("0-70", "70-150", "150-250", "overall")
 SHIPPED = "pointpillars-cirrus-sim"
+ON_ROADS = "pointpillars-roads"
+"""The weights of README's table of real frames."""
 RADAR_WEIGHTS = ("rtnh-kradar-sim", "pointpillars-kradar-sim")
 WEATHERS = ("total", "normal", "overcast", "fog", "rain", "sleet", "light_snow", "heavy_snow")
 PAGE = ROOT / "docs" / "detectors.md"
@@ -163,7 +165,7 @@ WORDS = {5: "five"}
 
 @dataclass(frozen=True, kw_only=True)
 class RealScores:
-    """What the benchmark printed of the shipped detector on one set of real frames."""
+    """What the benchmark printed of the detector for real roads on one set of real frames."""
 
     vehicles: int
     scenes: str
@@ -178,13 +180,13 @@ class RealScores:
     def of(cls, text: str, title: str) -> "RealScores":
         """The lines below a set's title; all vehicles count, hidden ones too."""
         own = text[text.index(f"\n{title}: ") :]
-        row = re.search(rf"^  {SHIPPED} .*$", own, flags=re.MULTILINE)[0]
+        row = re.search(rf"^  {ON_ROADS} .*$", own, flags=re.MULTILINE)[0]
         intervals = [*re.findall(r"\[0\.\d+, 0\.\d+\]", row), "", ""]
         cells = row.split()[5:13]  # after the name and four average precisions
         return cls(
             vehicles=int(re.search(r"(\d+) annotated", own)[1]),
             scenes=re.search(r"^ scenes: (.*)$", own, flags=re.MULTILINE)[1],
-            seen=re.search(rf"^ seen in training, {SHIPPED}: (.*)$", own, flags=re.MULTILINE)[1],
+            seen=re.search(rf"^ seen in training, {ON_ROADS}: (.*)$", own, flags=re.MULTILINE)[1],
             dds=tuple(cells[:4]),
             wdds=tuple(cells[4:]),
             over_frames=intervals[0],
@@ -299,7 +301,7 @@ def main() -> None:
         list_real(options.real, printed=options.printed)
         return
     if options.verb == "roads":
-        path = ship(options.run, "pointpillars-roads")
+        path = ship(options.run, ON_ROADS)
         print(f"written: {path.relative_to(ROOT)}, {path.stat().st_size:,} bytes")
         return
     if len(options.runs) != len(RADAR_WEIGHTS):

@@ -38,9 +38,14 @@ def without_arrays(function: Callable[..., Any]) -> bool:
 
     False of what beartype reads in another way than jaxtyping: names of types as text, and what yields or is awaited.
     """
+    return not _is_special(function) and not any(map(_names_array, function.__annotations__.values()))
+
+
+def _is_special(function: Callable[..., Any]) -> bool:
+    """Whether a function yields or is awaited."""
     inner = inspect.unwrap(function)
     special = (inspect.isgeneratorfunction, inspect.isasyncgenfunction, inspect.iscoroutinefunction)
-    return not any(kind(inner) for kind in special) and not any(map(_names_array, function.__annotations__.values()))
+    return any(kind(inner) for kind in special)
 
 
 def _names_array(annotation: Any) -> bool:
@@ -51,26 +56,49 @@ def _names_array(annotation: Any) -> bool:
     return any(map(_names_array, parts))
 
 
+CHECKED_CALLS = 50
+"""So many calls of a function are checked in a test: a test that calls one a million times says no more by the rest."""
+
+
+class _Test:
+    """The test that runs."""
+
+    number = 0
+
+
+def begin_test() -> None:
+    """Check the next calls of every function again."""
+    _Test.number += 1
+
+
 def typed(function: Any = _decorator._sentinel, *, typechecker: Any = _decorator._sentinel) -> Any:
     """``jaxtyping.jaxtyped``; a function without arrays gets the checks of its types alone, in a fifth of the time."""
     if function is _decorator._sentinel:
         return partial(typed, typechecker=typechecker)
     if typechecker is not _decorator._sentinel and typechecker and inspect.isfunction(function):
-        if getattr(function, "__no_type_check__", False):
+        if getattr(function, "__no_type_check__", False) or hasattr(function, "checked_in_tests"):
             return function
         if without_arrays(function):
             return _switched(function, _CHECKS(function))
+        if not _is_special(function):
+            return _switched(function, _jaxtypings_decorator(function, typechecker=typechecker))
     return _jaxtypings_decorator(function, typechecker=typechecker)
 
 
 def _switched(function: Function, checked_one: Function) -> Function:
-    """The checked function, or the bare one while the tests switch jaxtyping's checks off."""
-    config = jaxtyping.config
+    """The checked function for the first calls of a test, then the bare one, as while checks are switched off."""
+    config, last = jaxtyping.config, [-1, 0]
 
     @wraps(function)
     def either(*args: Any, **kwargs: Any) -> Any:
-        return function(*args, **kwargs) if config.jaxtyping_disable else checked_one(*args, **kwargs)
+        if last[0] != _Test.number:
+            last[:] = _Test.number, 0
+        last[1] += 1
+        if last[1] > CHECKED_CALLS or config.jaxtyping_disable:
+            return function(*args, **kwargs)
+        return checked_one(*args, **kwargs)
 
+    either.checked_in_tests = True  # type: ignore[attr-defined]
     return either  # type: ignore[return-value]
 
 

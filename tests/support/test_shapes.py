@@ -42,6 +42,16 @@ def test_wrong_results_are_found_and_sizes_hold_from_argument_to_result() -> Non
         named(0)
 
 
+def test_the_first_calls_of_a_test_are_checked_and_a_million_more_are_not() -> None:
+    for wrong in (lambda: named(0), lambda: first_rows(np.zeros((4, 3)), 3)):
+        for _ in range(2):
+            shapes.begin_test()
+            for _ in range(shapes.CHECKED_CALLS):
+                with pytest.raises(TypeCheckError):
+                    wrong()
+            wrong()
+
+
 ARRAYS = [
     np.zeros(shape, kind)
     for shape in ((), (1,), (3,), (1, 3), (2, 3), (3, 3), (3, 2), (2, 3, 4), (4, 3, 3))
