@@ -47,7 +47,10 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip the tests marked ``gpu`` where there is none."""
+    """Skip the tests marked ``gpu`` where there is none, and those marked ``whole`` unless FARFIELD_WHOLE asks."""
+    for item in () if os.environ.get("FARFIELD_WHOLE") else items:
+        if item.get_closest_marker("whole"):
+            item.add_marker(pytest.mark.skip(reason="runs with FARFIELD_WHOLE=1"))
     marked = [item for item in items if item.get_closest_marker("gpu")]
     if marked and not importlib.import_module("torch").cuda.is_available():
         for item in marked:

@@ -85,5 +85,6 @@ def test_one_sequence_opened_and_saved_again(shared_real: Path, tmp_path: Path) 
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_all_sequences_opened_and_saved_again(shared_real: Path, tmp_path: Path) -> None:
     assert _saved_again(shared_real, tmp_path, 1) == 34_994

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from whole import WHOLE
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = sorted(path.stem for path in (ROOT / "benchmarks").glob("[a-z]*.py"))
@@ -48,6 +49,14 @@ LONG = {
     "simulator": "frames",
 }
 """Scripts that take minutes even at their smallest, and the part that is run; FARFIELD_WHOLE=1 runs all parts."""
+
+
+LONGEST = {
+    *("adaptation", "cpu_limit", "evaluation", "exporting", "interruptions", "learning_from_labels", "privacy"),
+    *("radar_products", "sparse_convolution", "studio_checks", "studio_drive", "studio_fitting", "studio_page"),
+    *("tracking",),
+}
+"""Scripts that take more than half a minute at their smallest: they run with FARFIELD_WHOLE=1 only."""
 
 
 def reproduction(folder: Path) -> Path:
@@ -107,14 +116,16 @@ def test_a_missing_or_broken_line_is_noticed() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", SCRIPTS)
+@pytest.mark.parametrize(
+    "script", [pytest.param(name, marks=pytest.mark.whole) if name in LONGEST else name for name in SCRIPTS]
+)
 def test_a_benchmark_runs_and_prints_what_it_promises(script: str, tmp_path: Path) -> None:
     for module in ("torch", "embreex", "numba", "cv2", "starlette", "rosbags"):
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"{module} is not installed")
     output = tmp_path / "results.txt"
     command = [sys.executable, f"benchmarks/{script}.py", "--tiny", "--output", str(output)]
-    one = LONG.get(script, "") if not os.environ.get("FARFIELD_WHOLE") else ""
+    one = "" if WHOLE else LONG.get(script, "")
     command[2:2] = [one] if one else []
     command += [str(reproduction(tmp_path / "run"))] if script == "reproduce" else []
     command += ["--archive", str(tmp_path / "cloud.npz")] if script == "gpu_check" else []

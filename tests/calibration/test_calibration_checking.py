@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import ndimage
+from whole import whole_or
 
 from farfield.calibration.camera_edges import SIGMAS_PX, EdgeViews, camera_difference, move_camera, refine_edges
 from farfield.calibration.checking import (
@@ -103,13 +104,13 @@ def test_edges_anywhere_seldom_accuse_a_camera() -> None:
     to be expected of that rate 93 times of 100, of the former one (20 %) 3 times of 100.
     """
     claimed = 0
-    for seed in range(30):
+    for seed in range(checks := whole_or(30, 8)):
         views, turned = (
             marked_views(np.random.default_rng(seed), None),
             move_camera(CAMERA, np.array([0, 0.02, 0, 0, 0, 0])),
         )
         claimed += sum(check_camera(each, views).claimed for each in (CAMERA, turned))
-    assert claimed <= 6
+    assert claimed <= (6 if checks == 30 else 3)
 
 
 def test_few_frames_must_show_more() -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from whole import whole_or
 
 from farfield.calibration.camera_pairs import calibrate_pairs, read_pairs, spread_notes
 from farfield.calibration.initial_guess import camera_at
@@ -100,7 +101,7 @@ def test_changed_pair_files_give_a_camera_or_words(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_three_thousand_changed_pair_files(tmp_path: Path) -> None:
+def test_many_changed_pair_files(tmp_path: Path) -> None:
     pytest.importorskip("cv2")
-    counts = tally(tmp_path / "picks.csv", 3000, 2)
+    counts = tally(tmp_path / "picks.csv", whole_or(3000, 600), 2)
     assert set(counts) == {"camera", "ours"}, counts

@@ -63,6 +63,7 @@ def core_seconds(folder: Path, *words: str) -> tuple[str, float]:
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_the_whole_demo(tmp_path: Path) -> None:
     said, seconds = core_seconds(tmp_path)
     assert seconds < CORE_SECONDS

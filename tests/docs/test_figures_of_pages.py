@@ -59,7 +59,9 @@ def section(name: str, title: str, inner: str) -> list[str]:
     return lines[start:] if not inner else lines[next(p for p in range(start, len(lines)) if inner in lines[p][:12]) :]
 
 
-def by_range(name: str, title: str, inner: str, weights: str) -> tuple[list[str | None], list[str | None], tuple[str, str]]:
+def by_range(
+    name: str, title: str, inner: str, weights: str
+) -> tuple[list[str | None], list[str | None], tuple[str, str]]:
     """DDS and wDDS 0.006 by range and overall, and the interval of DDS overall, as a results file has them."""
     lines = section(name, title, inner)
     if not inner:  # one line a detector

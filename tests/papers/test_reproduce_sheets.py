@@ -72,6 +72,7 @@ def summary(out: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_the_sheets_of_a_tiny_grid(tmp_path: Path) -> None:
     out = tmp_path / "out"
     reproduction = tiny_kradar(out)

@@ -218,6 +218,7 @@ def test_scores_of_older_runs_hold_their_clock_and_failed_runs_do_not_count(tmp_
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_the_command_plans_what_fits_six_core_hours(capsys):
     assert main(["reproduce", "kradar", "--transfer", "--plan", "--seeds", "0"]) == 0
     said = capsys.readouterr().out

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from whole import whole_or
 
 from farfield.errors import ConfigError
 from farfield.frame import Cloud, Frame
@@ -38,7 +39,7 @@ def test_frames_match_the_record(sequence: int, index: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sequence", range(20))
+@pytest.mark.parametrize("sequence", whole_or(range(20), range(0, 20, 7)))
 def test_all_frames_match_the_record(sequence: int) -> None:
     preset = find_preset(NAME)
     expected = {index: record for (mine, index), record in frozen_records(NAME).items() if mine == sequence}

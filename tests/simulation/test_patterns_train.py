@@ -35,6 +35,7 @@ def _simulated(folder: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_gaussian_beats_uniform_and_a_change_of_pattern_costs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Signs of Cirrus' Table I: G > U, and a detector of the other pattern falls below the pattern's own, both ways."""
     _simulated(tmp_path)

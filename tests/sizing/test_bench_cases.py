@@ -170,6 +170,7 @@ def test_words_that_fit_nothing_are_refused_with_the_names(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_every_case_works_on_its_frames_and_reads_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One repeat of each; whoever reads something has its size."""
     pytest.importorskip("torch")

@@ -36,6 +36,7 @@ def test_boreas_and_radiate(drives: Any, shared_real: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_kradar_is_tracked_back_to_its_identities(drives: Any, shared_real: Path) -> None:
     truth = drives.kradar(shared_real)
     assert sum(len(annotation.boxes) for annotation in truth.annotations.values()) == 114_976

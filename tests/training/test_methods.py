@@ -120,7 +120,7 @@ def test_two_processes_share_streams_and_modules_as_one(data: Path, bare: Path, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("detector", ["pointpillars", "sparsecentre"])
+@pytest.mark.parametrize("detector", ["pointpillars", pytest.param("sparsecentre", marks=pytest.mark.whole)])
 def test_a_killed_run_of_several_modules_resumes_to_the_same_bits(
     detector: str, data: Path, bare: Path, tmp_path: Path
 ) -> None:

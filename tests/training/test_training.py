@@ -70,8 +70,11 @@ def test_a_fused_step_is_a_plain_one_however_a_gradient_lies_in_memory():
     torch.testing.assert_close(fused, plain)
 
 
+SLOW_ONES = ([pytest.mark.slow], [pytest.mark.slow, pytest.mark.whole])
+
+
 @pytest.mark.parametrize(
-    "name", ["pointpillars", *(pytest.param(name, marks=pytest.mark.slow) for name in SMALL if name != "pointpillars")]
+    "name", [name if name == "pointpillars" else pytest.param(name, marks=SLOW_ONES[name != "rtnh"]) for name in SMALL]
 )
 def test_killed_training_resumes_to_the_same_weights(name, experiment, data, made_once, tmp_path):
     words, opened = [small_setting(name)], partial(open_dataset, data)

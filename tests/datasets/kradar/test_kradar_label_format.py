@@ -167,6 +167,7 @@ def test_every_hundredth_published_file(shared_real: Path, labels: KRadarLabelFo
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_all_published_files(shared_real: Path, labels: KRadarLabelFormat) -> None:
     count = 0
     for name, data in published(shared_real):

@@ -170,7 +170,10 @@ def expected(root: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("preset", "name"), [("ab3dmot", "ab3dmot_2022"), ("ab3dmot-paper", "ab3dmot_paper")])
+@pytest.mark.parametrize(
+    ("preset", "name"),
+    [pytest.param("ab3dmot", "ab3dmot_2022", marks=pytest.mark.whole), ("ab3dmot-paper", "ab3dmot_paper")],
+)
 def test_real_tracks_score_as_an_independent_evaluation_has_them(shared_real: Path, preset: str, name: str) -> None:
     root = shared_real / "kitti_tracking"
     found = read(root / "detections_pointrcnn_car", root / "label", format="kitti-tracking")

@@ -4,6 +4,7 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from whole import whole_or
 
 from farfield.frame import Boxes
 from farfield.geometry.iou import pairwise_iou
@@ -61,7 +62,7 @@ def test_no_vehicle_stands_in_a_post_of_an_alley(seed: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("road", ["urban", "suburban", "university", "parking_lot", "alleyway", "highway"])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", whole_or(range(20), range(0, 20, 4)))
 def test_no_vehicle_stands_in_a_post(road: str, seed: int) -> None:
     _no_vehicle_stands_in_a_thing(road, seed)
 
