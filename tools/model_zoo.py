@@ -82,10 +82,11 @@ def learnt_from(provenance: Mapping[str, Any]) -> str:
 
 
 def schedule(provenance: Mapping[str, Any]) -> str:
-    """Steps and batch of a training."""
+    """Steps and batch of a training, and that it went on from other weights."""
     training = provenance.get("experiment", {}).get("training", {})
     steps, batch = training.get("steps"), training.get("batch_size")
-    return f"{steps:,} steps of {batch} frames" if steps and batch else "not recorded"
+    after = " after an earlier training" if provenance.get("start") else ""
+    return f"{steps:,} steps of {batch} frames{after}" if steps and batch else "not recorded"
 
 
 def classes_of(config: Mapping[str, Any]) -> str:

@@ -65,7 +65,7 @@ def test_all_weights_that_ship_are_known_and_offered() -> None:
 
     entries = {entry.name: entry for entry in catalogue()}
     assert entries["pointpillars"].weights == "pointpillars-cirrus-sim"
-    assert entries["pointpillars"].further == ("pointpillars-kradar-sim",)
+    assert entries["pointpillars"].further == ("pointpillars-kradar-sim", "pointpillars-roads")
     assert entries["rtnh"].weights == "rtnh-kradar-sim"
     assert {name for entry in entries.values() for name in (entry.weights, *entry.further) if name} == set(
         bundled_weights()

@@ -115,10 +115,10 @@ def test_readmes_table_of_real_frames_is_what_its_command_writes() -> None:
     readme, printed = (ROOT / "README.md").read_text("utf-8"), shipped_figures.section("detectors", "real")
     assert shipped_figures.with_real_rows(readme, printed) == readme
     for old, new in (
-        ("0.6068", "0.9068"),
-        ("] of 36", "] of 37"),
-        ("0.517] of", "0.617] of"),
-        ("nothing: simulated", "all 3 frames: simulated"),
+        ("0.6974", "0.9974"),
+        ("0.682] of 36", "0.682] of 37"),
+        ("0.582] of", "0.682] of"),
+        ("nothing: simulated frames, Open", "all 3 frames: simulated frames, Open"),
     ):
         assert old in printed
         assert shipped_figures.with_real_rows(readme, printed.replace(old, new, 1)) != readme
