@@ -291,11 +291,13 @@ def cirrus_seeds(rng: np.random.Generator) -> tuple[bytes, ...]:
     return (json.dumps({"label_type": "3d", "labels": labels}).encode(),)
 
 
-def worker(name: str, count: int, folder: str, sender: Any) -> None:
+MakesTargets = Callable[[Path], Mapping[str, Target]]
+
+
+def worker(made: MakesTargets, name: str, count: int, folder: str, sender: Any) -> None:
     """Fuzz one reader with an address space that may grow by 1 GB from here."""
     place = Path(folder)
-    made = form_targets(place)
-    target = made[name] if name in made else targets(place)[name]
+    target = made(place)[name]
     target.read(write_seed(place, target))  # imports and tables that come with the first use
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES, used + LIMIT_BYTES))
@@ -308,10 +310,11 @@ def write_seed(folder: Path, target: Target) -> Path:
     return path
 
 
-def fuzz_in_process(name: str, count: int, keep: Path) -> Tally:
+def fuzz_in_process(made: MakesTargets, name: str, count: int, keep: Path) -> Tally:
     receiver, sender = multiprocessing.Pipe(duplex=False)
     with tempfile.TemporaryDirectory() as folder:
-        process = multiprocessing.get_context("forkserver").Process(target=worker, args=(name, count, folder, sender))
+        arguments = (made, name, count, folder, sender)
+        process = multiprocessing.get_context("forkserver").Process(target=worker, args=arguments)
         process.start()
         sender.close()
         try:
@@ -352,20 +355,21 @@ def run_forms(arguments: Sequence[str]) -> int:
     return _run(run_forms.__doc__, arguments, form_targets, 500)
 
 
-def _run(
-    documentation: str | None, arguments: Sequence[str], made: Callable[[Path], Mapping[str, Target]], files: int
-) -> int:
+def _run(documentation: str | None, arguments: Sequence[str], made: MakesTargets, files: int) -> int:
     parser = part_parser(documentation)
     parser.add_argument("--files", type=int, default=files)
     parser.add_argument("--only", nargs="+", help="names of readers")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "farfield-fuzz")
     options = parser.parse_args(arguments)
+    before = set(sys.modules)
     with tempfile.TemporaryDirectory() as folder:
         names = [name for name in made(Path(folder)) if options.only is None or name in options.only]
+    # each reader's process begins as a copy of one that has imported what the targets need
+    multiprocessing.set_forkserver_preload(["__main__", *sorted(set(sys.modules) - before - {"__mp_main__"})])
     print(f"{'reader':20}{'files':>8}{'errors':>8}{'results':>8}{'slowest':>12}{'memory':>10}  faults")
     failed = False
     for name in names:
-        tally = fuzz_in_process(name, options.files, options.keep)
+        tally = fuzz_in_process(made, name, options.files, options.keep)
         failed |= bool(tally.faults)
         counts = f"{name:20}{options.files:8}{tally.errors:8}{tally.results:8}"
         figures = f"{tally.slowest_s * 1e3:9.1f} ms{tally.peak_bytes / 2**20:7.0f} MB"

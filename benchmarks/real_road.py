@@ -228,7 +228,7 @@ def run_false(arguments: Sequence[str]) -> None:
             whole.add(trial, "")
             if options.pages:
                 options.pages.mkdir(parents=True, exist_ok=True)
-                page = render_false_vehicles(trial, InMemory(one.frames()), detector=name)
+                page = render_false_vehicles(trial, InMemory(one.frames()), detector=name, name=title)
                 write_text(options.pages / f"{title} {name}.html".replace(",", "").replace(" ", "-"), page)
     if len(sets) > 1:
         sweeps = sum(len(one.data) for one in sets.values())

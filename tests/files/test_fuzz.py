@@ -47,7 +47,7 @@ FORMS = (
     *(("form of bag.mcap", "form of bag.db3") if importlib.util.find_spec("rosbags") else ()),
 )
 FILES = whole_or(1000, 200)
-GROUPS = 8
+GROUPS = 4
 """Of readers that one command tries: each command imports all that they need."""
 
 

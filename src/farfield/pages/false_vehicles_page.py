@@ -42,19 +42,22 @@ def write_false_vehicles(
     return folder / PAGE
 
 
-def render_false_vehicles(trial: DonorTrial, data: Dataset, *, detector: str, cloud: str | None = None) -> str:
-    """Return the page as HTML."""
+def render_false_vehicles(
+    trial: DonorTrial, data: Dataset, *, detector: str, cloud: str | None = None, name: str = ""
+) -> str:
+    """Return the page as HTML; ``name`` is what the title calls the sweeps (default: their folder's name, if any)."""
+    name = name or data.root.name
     threshold = trial.threshold_at()
     score = SHOWN_SCORE if threshold is None else threshold
     curve = PageImage(
-        figure_uri(false_vehicle_curves({data.root.name: {detector: trial}})),
+        figure_uri(false_vehicle_curves({name: {detector: trial}})),
         "False vehicles a sweep over the recall of pasted cars",
         f"The line marks a recall of {RECALL:.0%}. " + curve_words(trial),
         "False vehicles over found cars",
     )
     return render_template(
         "false_vehicles.html",
-        title=f"False vehicles of {detector} on {data.root.name}",
+        title=f"False vehicles of {detector}" + (f" on {name}" if name else ""),
         headline=headline(trial),
         scope=f"{count_of(trial.sweeps, 'sweep')} of {count_of(len(set(trial.scenes)), 'sequence')}; "
         f"{len(trial.cars)} simulated cars; figures by range and points at a score of {score:.2f}",
