@@ -11,6 +11,7 @@ over. torch comes in its pinned version from the index that pip uses; without on
 
 import argparse
 import hashlib
+import os
 import re
 import shutil
 import subprocess
@@ -262,6 +263,8 @@ def main() -> int:
     parser.add_argument("--torch-flags", default="", help="flags of pip for torch, such as an index of CPU builds")
     options = parser.parse_args()
     failures = 0
+    # one version for all builds, whatever is committed meanwhile
+    os.environ["SETUPTOOLS_SCM_PRETEND_VERSION"] = run(sys.executable, "-m", "setuptools_scm").strip()
     with tempfile.TemporaryDirectory(prefix="farfield-release-") as folder:
         options.out = Path(folder)
         for name in options.only:

@@ -14,7 +14,10 @@ from kit_rtnh import KitRTNH
 from farfield.api import load_detector
 from farfield.cli import main
 from farfield.datasets.recipes import recipe_of_provenance
+from farfield.detectors import build_detector
 from farfield.detectors.weights import load_weights
+from farfield.experiments.catalogue import find
+from farfield.experiments.schema import load_experiment
 
 SETTINGS = """
 grid: {range_m: 19.2, half_width_m: 6.4, z_min_m: -3.0, z_max_m: 1.0, cell_m: 0.4}
@@ -93,6 +96,17 @@ def test_a_checkpoint_of_the_kit_detects_in_the_radar_s_coordinates(home, kit_fi
     detector = load_detector("wide.safetensors", device="cpu")
     assert (detector.reference, detector.learnt_clouds, detector.kind) == ("radar", ("radar",), "radar")
     assert recipe_of_provenance(provenance)["maps"]
+
+
+def test_the_experiment_of_the_wide_form_is_the_network_of_the_kit(home):
+    torch.save(KitRTNH("wide", layers=24).saved(), "full.pt")
+    assert main(["import-weights", "full.pt", "full.safetensors"]) == 0
+    network, _ = load_weights(home / "full.safetensors")
+    ours = build_detector(load_experiment(find("rtnh-wide-kradar")).detector)
+    assert {name: tensor.shape for name, tensor in ours.state_dict().items()} == {
+        name: tensor.shape for name, tensor in network.state_dict().items()
+    }
+    assert ours.config.grid == network.config.grid
 
 
 def test_doctor_says_what_weights_are(home, kit_file, capsys):
