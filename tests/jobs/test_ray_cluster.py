@@ -78,7 +78,8 @@ def begun(folder: Path) -> subprocess.Popen[str]:
     """A command that is at work, some units behind it and some before."""
     command = begin(folder, "ray", pause_s=1.0)
     until = time.monotonic() + 300
-    while len([*(folder / "out").glob("*.txt")]) < 2 or not of_ray(command, "ray::do_units"):
+    journal = folder / "out" / ".journal"
+    while not (journal.is_file() and journal.read_bytes().count(b"\n") > 1 and of_ray(command, "ray::do_units")):
         assert command.poll() is None
         assert time.monotonic() < until
         time.sleep(0.02)
@@ -124,8 +125,9 @@ def test_an_ended_command_leaves_no_process_and_goes_on(
     processes = of_ray(command)
     command.send_signal(ending)
     command.communicate(timeout=120)
-    assert command.returncode == {signal.SIGTERM: 143}.get(ending, -ending)
-    _, alive = psutil.wait_procs(processes, timeout=30)
+    # a verb ends with 130 and 143; this bare script, of whose interrupt Ray's own hook is told, with either
+    assert command.returncode in {signal.SIGTERM: (143,), signal.SIGINT: (-ending, 1)}.get(ending, (-ending,))
+    _, alive = psutil.wait_procs(processes, timeout=180)  # Ray's agents ask a dead server for a minute, and then end
     assert not alive
     if ending != signal.SIGKILL:
         assert own_folders() <= before

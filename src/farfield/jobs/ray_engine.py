@@ -12,12 +12,15 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from farfield.errors import MissingExtraError, plain
 from farfield.files.locking import try_lock
@@ -286,12 +289,24 @@ def _connected(address: str, workers: int) -> Any:
             import ray
         except ImportError as error:
             raise MissingExtraError("ray", "ray", "--engine ray") from error
+        _messages_to_stderr(ray._private.worker)
         if not ray.is_initialized():
             if local:
                 _start(ray, max(workers, usable_cores()))
             else:
                 _join(ray, address)
     return ray
+
+
+def _messages_to_stderr(worker: Any) -> None:
+    """Let Ray say to standard error what it knows of lost workers: a verb's results may go to standard output."""
+    written = getattr(worker, "print_to_stdstream", None)
+    if written is not None and not isinstance(written, partial):
+        worker.print_to_stdstream = partial(_to_stderr, written)
+
+
+def _to_stderr(written: Callable[..., None], data: dict[str, Any], **settings: Any) -> None:
+    written({**data, "is_err": True}, **settings)
 
 
 def _join(ray: Any, address: str) -> None:
@@ -375,8 +390,6 @@ def close() -> None:
 
 def _end(ray: Any, folder: Path) -> None:
     """End all processes of the Ray that has a folder."""
-    import psutil
-
     processes = []
     for process in psutil.Process().children(recursive=True):
         line = " ".join(_words(process))
@@ -393,8 +406,6 @@ def _end(ray: Any, folder: Path) -> None:
 
 def _words(process: Any) -> list[str]:
     """The command line of a process; nothing if it has ended."""
-    import psutil
-
     try:
         return list(process.cmdline())
     except psutil.Error:
