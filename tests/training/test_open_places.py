@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from farfield.datasets.open_sweeps import OpenSweeps
+from farfield.detectors.info import family_with_start
 from farfield.detectors.runtime import Detector
 from farfield.evaluation.leakage import seen_in_training
 from farfield.experiments.plan import Plan
@@ -34,6 +35,8 @@ def test_places_of_streams_donors_and_the_start_are_named(tmp_path: Path) -> Non
     weights = trained(tmp_path / "second", "split: junction, donors: {copies: 1, vehicles: 2}", start)
     info = Detector.load(weights, device="cpu").info
     assert info.open_places == ("avenue", "junction")
+    assert info.provenance["start"]["family"] == "real sweeps"
+    assert (info.family, family_with_start(info.provenance)) == ("simulation with a user's sweeps", "")
     data = OpenSweeps()
     words, common = seen_in_training(data, info.provenance, set(data.keys))
     assert (words, common) == ("4 of 12 frames, of the places avenue and junction", 4)
