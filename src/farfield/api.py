@@ -73,7 +73,7 @@ def load_detector(
     Or one that :func:`export` wrote, ``.onnx``, which needs no torch.
 
     Args:
-        name: Which one.
+        name: Which one; also a URL of a weights file, with the sum of its bytes behind it: ``#sha256=...``.
         device: Where to run, such as ``"cpu"`` or ``"cuda:0"``; by default, and for ``"auto"``, a GPU if there is one.
         precision: ``"fp32"``, ``"bf16"``, ``"fp16"``, or ``"auto"``: what suits the device.
         cloud: Which of a frame's clouds to read.
@@ -98,6 +98,10 @@ def load_detector(
         "max_boxes": max_boxes,
         "classes": classes,
     }
+    from farfield.files.remote_paths import checked_file
+    from farfield.files.remote_stores import is_url
+
+    name = checked_file(str(name)) if is_url(str(name)) else name
     if Path(name).suffix.lower() == ".onnx":
         from farfield.detectors.onnx.detector import OnnxDetector
 
@@ -412,7 +416,9 @@ def calibrate(
 
     chosen = CalibrationOptions(**options)
     if isinstance(data, Path | str):
-        data = Path(data) if kind == "board" else open_dataset(data)
+        from farfield.files.remote_paths import as_path
+
+        data = as_path(data) if kind == "board" else open_dataset(data)
     return solve(kind, data, chosen)
 
 

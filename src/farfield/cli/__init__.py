@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from functools import update_wrapper
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -250,7 +251,9 @@ def _run(function: Callable[..., int | None], verb: str, arguments: list[str]) -
                 raise
             _complain(f"farfield {verb}: {_refusal(verb, printed.getvalue())}")
             return 2
-    return int(function(*args, **kwargs) or 0)
+    from farfield.cli._remote import run_with_urls
+
+    return int(run_with_urls(function, args, kwargs, signature(function).parameters) or 0)
 
 
 def _refusal(verb: str, printed: str) -> str:

@@ -21,6 +21,7 @@ from farfield.files.aimotive import PINHOLE, AimotiveSensor, read_boxes, read_se
 from farfield.files.images import read_image
 from farfield.files.json_text import read_json
 from farfield.files.las import read_las
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
@@ -153,7 +154,7 @@ class Aimotive(Dataset):
     def __init__(self, root: Path | str, *, classes: str = "cirrus") -> None:
         if classes not in ("cirrus", "aimotive"):
             raise ConfigError(f"aimotive: expected classes to be one of 'cirrus', 'aimotive', got {classes!r}")
-        self.root, self.classes = Path(root), classes
+        self.root, self.classes = as_path(root), classes
         self.sessions = [_Session(path) for path in sessions_in(self.root)]
         self._index = [(session, number) for session in self.sessions for number in session.numbers]
         if not self._index:

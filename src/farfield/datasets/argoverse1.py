@@ -21,6 +21,7 @@ from farfield.files.ascii_table import whole_numbers
 from farfield.files.images import image_size, read_image
 from farfield.files.limits import MAX_RINGS
 from farfield.files.ply import read_ply
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
@@ -129,7 +130,7 @@ class Argoverse1(Dataset):
     def __init__(self, root: Path | str, *, classes: str = "cirrus") -> None:
         if classes not in ("cirrus", "argoverse1"):
             raise ConfigError(f"argoverse1: expected classes to be one of 'cirrus', 'argoverse1', got {classes!r}")
-        self.root, self.classes = Path(root), classes
+        self.root, self.classes = as_path(root), classes
         folders = {
             path.parents[1] for prefix in _DEPTHS for path in self.root.glob(pattern_in_any_case(prefix + _SWEEPS))
         }

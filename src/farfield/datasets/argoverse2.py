@@ -19,6 +19,7 @@ from farfield.files.cuboids import FARTHEST_M, check_turns, is_name
 from farfield.files.feather import read_feather
 from farfield.files.images import read_image
 from farfield.files.limits import MAX_NAME
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
@@ -171,7 +172,7 @@ class Argoverse2(Dataset):
     name = "argoverse2"
 
     def __init__(self, root: Path | str, *, classes: Literal["cirrus", "argoverse2"] = "cirrus") -> None:
-        self.root, self.classes = Path(root), classes
+        self.root, self.classes = as_path(root), classes
         prefixes = ("", "*/", "*/*/")
         folders = {
             path.parents[2] for prefix in prefixes for path in self.root.glob(pattern_in_any_case(f"{prefix}{_SWEEPS}"))

@@ -17,6 +17,7 @@ from farfield.files.ascii_table import whole_numbers
 from farfield.files.astyx import LIDAR_COLUMNS, RADAR_COLUMNS, read_objects, read_points, read_sensors
 from farfield.files.images import image_size, read_image
 from farfield.files.limits import MAX_RINGS
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
@@ -55,7 +56,7 @@ class Astyx(Dataset):
     def __init__(self, root: Path | str, *, classes: str = "cirrus") -> None:
         if classes not in ("cirrus", "astyx"):
             raise ConfigError(f"astyx: expected classes to be one of 'cirrus', 'astyx', got {classes!r}")
-        self.root, self.classes = Path(root), classes
+        self.root, self.classes = as_path(root), classes
         folder = root_of(self.root)
         if folder is None:
             raise DatasetError(f"{self.root}: expected {RADAR}/*.txt, found none")

@@ -17,6 +17,7 @@ from farfield.datasets.frame_maps import MAPS, FrameMap, described
 from farfield.datasets.splits import SPLIT_FILE, read_parts, split_indices
 from farfield.errors import ConfigError, DatasetError, FarfieldError
 from farfield.files.atomic import read_bytes
+from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Drive, Frame, Key
 from farfield.vocabulary.counts import count_of
 
@@ -373,8 +374,8 @@ def _identified(option: Any) -> Any:
         return {name: value for name, value in entries if value not in _UNSET_OPTIONS}
     if isinstance(option, list | tuple):
         return [value for value in map(_identified, option) if value not in _UNSET_OPTIONS]
-    if isinstance(option, str) and len(option) < _LONGEST_PATH and ("/" in option or Path(option).suffix):
-        path = Path(option)  # a word, such as of axes, names no file that happens to be called so
+    if isinstance(option, str) and len(option) < _LONGEST_PATH and ("/" in option or as_path(option).suffix):
+        path = as_path(option)  # a word, such as of axes, names no file that happens to be called so
         if path.exists():
             return hashlib.sha256(read_bytes(path)).hexdigest() if path.is_file() else None
     return option

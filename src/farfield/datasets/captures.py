@@ -11,6 +11,7 @@ from farfield.datasets.turns import LEAST_SHARE, SensorTurns, Traffic, find_stre
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.firings import TurningLidar
 from farfield.files.hesai import Hesai
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Frame, Lazy, Sensor
 
@@ -70,7 +71,7 @@ class Captures(Dataset):
         sensor: str | None = None,
         least_share: float = LEAST_SHARE,
     ) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         if not -360 <= cut_deg <= 360:
             raise ConfigError(f"captures: expected cut_deg from -360 to 360 degrees, got {cut_deg:g}")
         if not 0 <= least_share <= 1:

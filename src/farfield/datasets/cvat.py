@@ -31,6 +31,7 @@ from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid
 from farfield.files.datumaro import parse_datumaro
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.files.tracklets import parse_tracklets
 from farfield.frame import Annotation, Frame, Lazy, Sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
@@ -101,7 +102,7 @@ class Cvat(Dataset):
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
-        self.root, self.tracklets = Path(root), tracklets
+        self.root, self.tracklets = as_path(root), tracklets
         checked_convention(tracklets)
         self.tasks = tasks(self.root)
         if not self.tasks:

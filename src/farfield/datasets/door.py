@@ -10,6 +10,7 @@ from farfield.datasets.base import Dataset
 from farfield.datasets.memory import CloudFiles, InMemory
 from farfield.datasets.opening import open_dataset
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.remote_paths import as_path
 from farfield.files.tables import columns_in
 from farfield.frame import Cloud, Frame
 from farfield.frame.door import FRAME_TAKES, frame_of
@@ -32,7 +33,7 @@ def dataset_of(value: Any) -> Dataset:
     if isinstance(value, Dataset):
         return value
     if isinstance(value, str | Path):
-        path = Path(value).expanduser()
+        path = as_path(value).expanduser()
         return CloudFiles([path]) if path.is_file() else open_dataset(value)
     is_one = isinstance(value, Frame | Cloud) or columns_in(value) is not None
     if is_one or (hasattr(value, "__array__") and np.ndim(value) <= 2):
@@ -44,7 +45,7 @@ def dataset_of(value: Any) -> Dataset:
         )
     entries = list(value)
     if entries and all(isinstance(entry, str | Path) for entry in entries):
-        paths = [Path(entry).expanduser() for entry in entries]
+        paths = [as_path(entry).expanduser() for entry in entries]
         missing = [str(path) for path in paths if not path.is_file()]
         if missing:
             raise DatasetError(f"data: expected cloud files, found none at {', '.join(missing[:5])}")

@@ -24,6 +24,7 @@ from farfield.files.images import image_size, read_image
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.files.kitti import read_calib
 from farfield.files.limits import MAX_RINGS
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import existing, pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import points_of, read_radar_rows
@@ -99,7 +100,7 @@ class DualRadar(Dataset):
             )
         if intensity_scale is not None and not 0 < intensity_scale < np.inf:
             raise ConfigError(f"intensity_scale: expected a positive number, got {intensity_scale!r}")
-        self.root, self.classes, self.chosen_axes, self.own_scale = Path(root), classes, label_axes, intensity_scale
+        self.root, self.classes, self.chosen_axes, self.own_scale = as_path(root), classes, label_axes, intensity_scale
         folder = _folder_of(self.root, part)
         if folder is None:
             raise DatasetError(f"{self.root}: expected {part}/robosense, arbe or ars548 with *.bin, found none")

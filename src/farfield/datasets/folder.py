@@ -38,6 +38,7 @@ from farfield.files.images import read_image
 from farfield.files.json_text import parse_json, plain_json
 from farfield.files.limits import MAX_NAME
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.files.stamps import name_time_ns
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Constant, Frame, Lazy, Sensor, camera_sensor
@@ -274,9 +275,9 @@ class Folder(Dataset):
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         own = self.root / MAPPING_NAME
-        self.mapping_path = Path(mapping) if mapping is not None else own if own.is_file() else None
+        self.mapping_path = as_path(mapping) if mapping is not None else own if own.is_file() else None
         self.class_mapping = {} if self.mapping_path is None else read_class_mapping(self.mapping_path)
         self.clouds = cloud_files(self.root)
         if not self.clouds:

@@ -17,6 +17,7 @@ from farfield.errors import DatasetError
 from farfield.files.atomic import read_bytes
 from farfield.files.cuboids import Cuboid, CuboidEntry
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Camera, Frame, Key, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import CLOUD_SUFFIXES
 
@@ -68,7 +69,7 @@ class LabelledClouds(Dataset):
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         self.members = tuple(self.find())
         if not self.members:
             raise DatasetError(f"{self.root}: expected {self.looked_at}; found none")

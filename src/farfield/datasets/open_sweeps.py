@@ -28,6 +28,7 @@ from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes
 from farfield.files.json_text import parse_json
 from farfield.files.limits import MAX_NAME
+from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Cloud, Frame, Lazy, Sensor
 from farfield.geometry.poses import pose_from_yaw, transform_points
 
@@ -112,7 +113,7 @@ class OpenSweeps(Dataset):
     protocol = "open-sweeps"
 
     def __init__(self, root: Path | str = ROOT) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         path = self.root / INDEX
         try:
             index = _Index.model_validate(parse_json(read_bytes(path, max_bytes=1 << 20), path))

@@ -19,6 +19,8 @@ from farfield.datasets.recognition import recognise
 from farfield.datasets.unread import advice_on, unread_files
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.atomic import readable
+from farfield.files.remote_paths import RemotePath, as_path, list_anew
+from farfield.files.remote_stores import UNFINISHED
 
 _EVERYWHERE = ("poses", "rotate_deg")  # options of every format
 _CLOUD_FLAGS = {
@@ -36,7 +38,8 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     ``whole_bodies`` for those that offer them.
 
     Args:
-        path: Its root folder; or ``"open-sweeps"``, real sweeps of streets that ship with the package.
+        path: Its root folder; its URL in an object store, such as ``s3://bucket/drives``; or ``"open-sweeps"``, real
+            sweeps of streets that ship with the package.
         format: One of :data:`~farfield.datasets.formats.DATASETS`; None recognises it.
         **options: ``poses``, a file or folder of poses as ``farfield odometry`` writes them; ``rotate_deg``, which
             turns every frame counter-clockwise about z (180 looks backwards); and those of the format's reader, such as
@@ -51,9 +54,11 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     >>> open_dataset("Cirrus_dataset1")[0].boxes  # doctest: +SKIP
     Boxes(95: 2 large_vehicle, 1 pedestrian, 92 vehicle)
     """
-    root = Path(path).expanduser()
+    root = as_path(path).expanduser()
     if str(path) == open_sweeps.NAME and not root.exists():
         root = open_sweeps.ROOT
+    if isinstance(root, RemotePath):
+        _check_remote(root)
     if not root.is_dir():
         raise DatasetError(f"{path}: expected a data set's folder, found {_no_folder(root)}.")
     recognised = format or recognise(root)
@@ -76,6 +81,20 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     _check_names(opened)
     opened = opened if not classes else opened.mapped(make("classes", {"classes": classes}))
     return _viewed(opened, {name: value for name, value in options.items() if name not in own})
+
+
+def _check_remote(root: RemotePath) -> None:
+    """List a store's folder anew, and refuse one of which only a part may be there.
+
+    Raises:
+        DatasetError: If it is being uploaded.
+    """
+    list_anew()
+    if (root / UNFINISHED).exists():
+        raise DatasetError(
+            f"{root}: expected a finished upload, got one that is under way or was cut off. Run the command that "
+            "writes it again: it goes on where it stopped."
+        )
 
 
 def _check_names(data: Dataset) -> None:
@@ -103,7 +122,7 @@ def _class_mapping(
     if format in (None, "folder") or not (mapping is None or isinstance(mapping, str | Path)):
         return {}, dict(options)
     beside = root / MAPPING_NAME
-    path = Path(mapping) if mapping is not None else beside if beside.is_file() else None
+    path = as_path(mapping) if mapping is not None else beside if beside.is_file() else None
     beside_others = mapping is None and format != "cirrus"  # which has a mapping of another kind
     if path is None or not (beside_others or maps_classes(path)):
         return {}, dict(options)
@@ -177,7 +196,7 @@ def _parameters(reader: Any) -> list[str] | None:
 
 def known_options(path: Path | str, options: Iterable[str]) -> set[str]:
     """Those of some options of :func:`open_dataset` that a data set's format knows; all where it is not recognised."""
-    root = Path(path).expanduser()
+    root = as_path(path).expanduser()
     format = recognise(root) if root.is_dir() else None
     reader = None if format is None else find_format(format).load()
     own = None if reader is None else _parameters(reader)

@@ -27,6 +27,7 @@ from farfield.files.images import read_image
 from farfield.files.npy import write_npy
 from farfield.files.openpcdet import format_labels, read_frame_list, read_label_rows
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Frame, Key, Lazy, Sensor, camera_sensor
 from farfield.geometry.boxes import wrap_angle_rad
@@ -80,7 +81,7 @@ class OpenPcdet(Dataset):
     ) -> None:
         if label_axes not in (None, *AXES):
             raise ConfigError(f"label_axes: expected one of {', '.join(AXES)}, got {label_axes!r}")
-        self.root, self.label_axes = Path(root), label_axes
+        self.root, self.label_axes = as_path(root), label_axes
         folder = self.root / "points"
         named = sorted(folder.iterdir()) if folder.is_dir() else []
         self.clouds = [path for path in named if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")]
@@ -342,7 +343,7 @@ class OpenPcdetWriter:
     """
 
     def __init__(self, root: Path | str) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
 
     def write(self, number: int, frame: Frame, *, cloud: str | None, boxes: Boxes | None) -> dict[str, Path]:
         """Write one frame under a number.

@@ -13,6 +13,7 @@ from farfield.errors import DatasetError, FileFormatError
 from farfield.files.osf import OsfFile, OsfMessage, OsfSweep, is_osf
 from farfield.files.ouster import EARLY, LEGACY, PROFILES
 from farfield.files.point_times import OFFSET_COLUMN
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Cloud, Frame, Lazy, Sensor
 
@@ -47,7 +48,7 @@ class Osf(Dataset):
     name = "osf"
 
     def __init__(self, root: Path | str) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         paths = recordings_in(self.root)
         if not paths:
             raise DatasetError(f"{root}: expected NAME.osf, as Ouster's tools record")

@@ -17,6 +17,7 @@ from farfield.files.captures import Datagram, datagrams
 from farfield.files.limits import open_file
 from farfield.files.ouster import PROFILES, OusterSensor, is_metadata, read_sensor
 from farfield.files.point_times import OFFSET_COLUMN
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Cloud, Frame, Lazy, Sensor
 
@@ -53,7 +54,7 @@ class Ouster(Dataset):
     name = "ouster"
 
     def __init__(self, root: Path | str) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         pairs = captures_in(self.root)
         if not pairs:
             raise DatasetError(f"{root}: expected NAME.pcap with the sensor's metadata beside it as NAME.json")

@@ -21,6 +21,7 @@ from farfield.files.data_frames import Column, read_data_frame
 from farfield.files.images import image_size, read_image
 from farfield.files.limits import MAX_NAME
 from farfield.files.pandaset import Placement, read_gps, read_intrinsics, read_placements, read_stamps
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import existing
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import returned
@@ -155,7 +156,7 @@ class PandaSet(Dataset):
             raise ConfigError(f"pandaset: expected classes to be one of 'cirrus', 'pandaset', got {classes!r}")
         if boxes_of not in SENSORS:
             raise ConfigError(f"pandaset: expected boxes_of to be one of {', '.join(SENSORS)}, got {boxes_of!r}")
-        self.root, self.classes, self.boxes_of = Path(root), classes, boxes_of
+        self.root, self.classes, self.boxes_of = as_path(root), classes, boxes_of
         self.scenes = [_PandaScene(folder) for folder in scenes_in(self.root)]
         self._index = [(scene, number) for scene in self.scenes for number in scene.sweeps]
         if not self._index:

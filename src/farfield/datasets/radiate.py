@@ -20,6 +20,7 @@ from farfield.files.images import read_image
 from farfield.files.json_text import read_json
 from farfield.files.limits import MAX_RINGS
 from farfield.files.radiate import RadiateTracks, read_times, read_tracks
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.files.xyz import read_xyz
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor, camera_sensor
@@ -83,7 +84,7 @@ class Radiate(Dataset):
             raise ConfigError(f"radiate: expected radar_share in (0, 1], got {radar_share!r}")
         if classes not in ("cirrus", "radiate"):
             raise ConfigError(f"radiate: expected classes to be one of 'cirrus', 'radiate', got {classes!r}")
-        self.root, self.radar_share, self.classes = Path(root), float(radar_share), classes
+        self.root, self.radar_share, self.classes = as_path(root), float(radar_share), classes
         self.folders = {folder.name: folder for folder in find_sequences(self.root)}
         frames = [(name, number) for name, folder in self.folders.items() for number in radar_frames(folder)]
         if not frames:

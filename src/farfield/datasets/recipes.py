@@ -9,6 +9,7 @@ from pydantic import BaseModel
 from farfield.datasets.base import Dataset
 from farfield.datasets.frame_maps import MAPS, FrameMap, described, make
 from farfield.errors import ConfigError
+from farfield.files.remote_paths import as_path
 
 RADAR_OPTIONS = ("radar_rate", "radar_region", "radar_over")
 """Options of ``open_dataset`` that become the map ``radar_view``."""
@@ -25,7 +26,7 @@ def maps_of_options(options: Mapping[str, Any]) -> list[FrameMap]:
     """
     maps: list[FrameMap] = []
     if options.get("poses") is not None:
-        maps.append(MAPS["posed"](Path(options["poses"])))
+        maps.append(MAPS["posed"](as_path(options["poses"])))
     if options.get("reference") is not None:
         maps.append(MAPS["coordinates"](str(options["reference"])))
     radar = {name.removeprefix("radar_"): options[name] for name in RADAR_OPTIONS if name in options}

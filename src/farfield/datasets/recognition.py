@@ -9,6 +9,7 @@ from pathlib import Path
 
 from farfield.datasets.formats import DATASETS, find_format
 from farfield.datasets.listing import ListedPath, listed_once
+from farfield.files.remote_paths import RemotePath
 from farfield.files.suffixes import pattern_in_any_case
 
 _LABELS_LOOKED_AT, _LINE_BYTES = 20, 1000  # files of which one has a line; of a label
@@ -20,7 +21,7 @@ def recognise(root: Path) -> str | None:
     Formats ask one after another; a folder is listed once for all of them.
     """
     with listed_once():
-        root = ListedPath(root)
+        root = root if isinstance(root, RemotePath) else ListedPath(root)
         for name in DATASETS.builtin:
             if name != "folder" and find_format(name).matches(root):
                 return name

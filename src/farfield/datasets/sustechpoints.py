@@ -21,6 +21,7 @@ from farfield.files.cuboids import numbers
 from farfield.files.images import image_size, read_image
 from farfield.files.json_text import parse_json
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.files.sustechpoints import MAX_BYTES, parse_sustechpoints
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
@@ -66,7 +67,7 @@ class SustechPoints(Dataset):
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         self.scenes = scenes(self.root)
         if not self.scenes:
             raise DatasetError(f"{self.root}: expected scenes of SUSTechPOINTS (lidar/*.pcd, label/*.json), found none")

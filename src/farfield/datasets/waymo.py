@@ -21,6 +21,7 @@ from farfield.files.cuboids import FARTHEST_M
 from farfield.files.images import decode_image
 from farfield.files.limits import MAX_PIXELS
 from farfield.files.parquet import read_rows
+from farfield.files.remote_paths import as_path
 from farfield.files.waymo import (
     CAMERA,
     LASER,
@@ -249,7 +250,7 @@ class Waymo(Dataset):
     def __init__(self, root: Path | str, *, classes: str = "cirrus", pixel_poses: bool = True) -> None:
         if classes not in ("cirrus", "waymo"):
             raise ConfigError(f"waymo: expected classes to be one of 'cirrus', 'waymo', got {classes!r}")
-        self.root, self.classes, self.pixel_poses = Path(root), classes, pixel_poses
+        self.root, self.classes, self.pixel_poses = as_path(root), classes, pixel_poses
         self.segments = [_WaymoSegment(folder, name) for folder, name in segments_in(self.root)]
         names = [segment.name for segment in self.segments]
         if len(set(names)) < len(names):

@@ -19,6 +19,7 @@ from farfield.datasets.base import Dataset, Indices, Poses, all_known, all_poses
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.files.npy import read_npy
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case
 from farfield.files.zod import (
     ZodCalibration,
@@ -174,7 +175,7 @@ class Zod(Dataset):
     def __init__(self, root: Path | str, *, classes: str = "cirrus", own_car: bool = False) -> None:
         if classes not in ("cirrus", "zod"):
             raise ConfigError(f"zod: expected classes to be one of 'cirrus', 'zod', got {classes!r}")
-        self.root, self.classes, self.own_car = Path(root), classes, own_car
+        self.root, self.classes, self.own_car = as_path(root), classes, own_car
         self.folders = [_Folder(folder) for folder in folders_in(self.root)]
         self._index = [(folder, number) for folder in self.folders for number in range(len(folder.sweeps))]
         if not self._index:

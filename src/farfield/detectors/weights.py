@@ -23,6 +23,8 @@ from farfield.errors import FarfieldError, FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.files.json_text import plain_json
 from farfield.files.limits import MAX_WEIGHTS_BYTES
+from farfield.files.remote_paths import checked_file
+from farfield.files.remote_stores import is_url
 from farfield.files.safetensors import KEY, check_digest, metadata_of, with_digest
 
 _MAX_METADATA_BYTES = 32_000_000  # a digest of each frame that was learnt from is 13 bytes
@@ -146,7 +148,7 @@ def resolve_weights(name: str | Path) -> Path:
     bundled = bundled_weights()
     if str(name) in bundled:
         return bundled[str(name)]
-    path = Path(name)
+    path = checked_file(str(name)) if is_url(str(name)) else Path(name)
     if path.is_dir() and (path / "weights.safetensors").is_file():
         return path / "weights.safetensors"
     if path.is_file():

@@ -22,6 +22,7 @@ from farfield.errors import ConfigError
 from farfield.evaluation.detecting import check_new_key, label_facts, points_in_boxes, with_point_count
 from farfield.files.mmdetection3d import read_instances
 from farfield.files.nuscenes import WORLD
+from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Boxes, Constant, Frame, Key
 from farfield.geometry.poses import invert
 from farfield.metrics.box_files import FORMATS, kitti_boxes, read, read_predictions
@@ -128,7 +129,7 @@ def read_detections(
         FileFormatError: If a file does not have its format.
     """
     if isinstance(labels, Path | str):
-        folder = Path(labels)
+        folder = as_path(labels)
         format_name = recognise(folder) if folder.is_dir() else None
         texts = format_name != "kradar" and any(folder.glob("*.txt"))  # whose sequences have a description.txt
         if format not in _SCORED_BESIDE_DATA or texts or format_name is None:
@@ -143,7 +144,7 @@ def read_detections(
         if own is not None and isinstance(labels.unwrapped, own) and "classes" not in options:
             labels = open_dataset(folder, **options, classes=format)  # the submission's own categories
     reading: dict[str, Any] = {"format": format, "reference": reference, "axes": axes, "class_names": class_names}
-    folder = results_folder(Path(predictions)) if format in ("openpcdet", "mmdetection3d") else Path(predictions)
+    folder = results_folder(as_path(predictions)) if format in ("openpcdet", "mmdetection3d") else as_path(predictions)
     if format in ("kitti", "openpcdet") or (format == "mmdetection3d" and _in_camera_axes(folder)):
         return _in_cameras(folder, labels, reading)
     if format == "mmdetection3d":

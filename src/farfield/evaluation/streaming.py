@@ -21,6 +21,7 @@ from farfield.detectors.info import DescribedDetector, DetectorFunction, as_dete
 from farfield.detectors.onnx.detector import OnnxDetector
 from farfield.errors import ConfigError, DatasetError
 from farfield.evaluation.views import as_trained
+from farfield.files.remote_paths import as_path
 from farfield.frame import Cloud, Frame
 from farfield.frame.cloud import CLOUD_SUFFIXES, read_cloud
 from farfield.geometry.boxes import Boxes
@@ -265,7 +266,7 @@ def _sweeps_of(detector: DescribedDetector, source: Any, idle_s: float | None) -
     if isinstance(source, Path | str):
         from farfield.datasets import open_dataset
 
-        path = Path(source)
+        path = as_path(source)
         if not path.exists():
             raise DatasetError(f"{path}: expected a data set, a bag or a folder that fills, found nothing.")
         if path.is_dir() and idle_s is not None:

@@ -17,6 +17,7 @@ from farfield.files.atomic import open_atomic
 from farfield.files.cuboids import FARTHEST_M, check_turns
 from farfield.files.feather import feather_names, read_feather
 from farfield.files.limits import check_name
+from farfield.files.remote_paths import as_path
 
 _CENTRE, _SIZE = ("tx_m", "ty_m", "tz_m"), ("length_m", "width_m", "height_m")
 _TURN = ("qx", "qy", "qz", "qw")
@@ -58,7 +59,7 @@ def read_argoverse2_boxes(path: Path | str) -> Argoverse2Boxes:
         MissingExtraError: If pyarrow is not installed.
         FileFormatError: If the file is no such table, or a cuboid is impossible or lies on its side.
     """
-    path = Path(path)
+    path = as_path(path)
     present = set(feather_names(path))
     needed = ("log_id", "timestamp_ns", "category", *_CENTRE, *_SIZE, *_TURN)
     lacking = [name for name in needed if name not in present]

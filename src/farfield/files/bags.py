@@ -24,6 +24,7 @@ from farfield.errors import FarfieldError, FileFormatError, MissingExtraError, p
 from farfield.files.atomic import read_bytes
 from farfield.files.bag_guard import SUFFIXES, bounded, check_packed_file, check_storage, unpacked_message
 from farfield.files.limits import MAX_BYTES
+from farfield.files.remote_paths import as_path, local_folder
 from farfield.files.ros1_bags import REINDEX, Ros1Reader
 from farfield.files.ros1_bags import SUFFIX as ROS1_SUFFIX
 from farfield.files.stand_ins import check_itself
@@ -77,7 +78,7 @@ class Bag:
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+        self.path = as_path(path)
         self._open: Any = None
         self._packed = False
         self.is_ros1 = self.path.is_file() and self.path.suffix.lower() == ROS1_SUFFIX
@@ -115,7 +116,7 @@ class Bag:
                 finalize(self, _closed, self._open)
                 return self._open
             with bounded():
-                reader = Reader(self.path)
+                reader = Reader(local_folder(self.path))
                 reader.open()
             inner = reader.storage
             self._packed = inner.metadata.compression_mode == "message"

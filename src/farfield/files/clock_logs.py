@@ -16,6 +16,7 @@ from jaxtyping import Float, Int64
 from farfield.errors import FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.limits import open_file
+from farfield.files.remote_paths import as_path
 
 _LONGEST_LINE = 1000
 _HEAD = r"\b(?P<program>ptp4l|phc2sys)(?:\[\d{1,9}\])?:?\s*\[(?P<s>\d{1,12})\.(?P<fraction>\d{1,9})\]:?\s"
@@ -74,7 +75,7 @@ def read_clock_log(path: Path | str) -> ClockLog:
         FileFormatError: If no line says an offset, if both programs or both kinds of lines stand in it, if a line is
             longer than 1,000 characters, or if a number does not fit.
     """
-    path = Path(path)
+    path = as_path(path)
     rows, others, kinds = [], 0, set()
     for number, line in enumerate(read_bytes(path).splitlines(), start=1):
         if len(line) > _LONGEST_LINE:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from farfield.errors import FileFormatError, plain
 from farfield.files.atomic import read_bytes, write_text
+from farfield.files.remote_paths import as_path
 
 COLUMNS = ("sequence", "frame", "reference", "time_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "state", "blind")
 STATES = ("placed", "lost", "begins")
@@ -80,7 +81,7 @@ def read_poses(path: Path | str) -> PoseTable:
     """
     from scipy.spatial.transform import Rotation
 
-    path = Path(path)
+    path = as_path(path)
     try:
         lines = read_bytes(path).decode("utf-8").splitlines()
         rows = list(csv.reader(lines))

@@ -20,6 +20,7 @@ from jaxtyping import Int64
 from farfield.errors import FileFormatError
 from farfield.files.cuboids import is_name
 from farfield.files.limits import FREE_BYTES, MAX_BYTES, MAX_EXPANSION, allowed_bytes, open_file
+from farfield.files.remote_paths import as_path
 
 SUFFIX = ".bag"
 MARK = b"#ROSBAG V2.0\n"
@@ -89,7 +90,7 @@ class Ros1Reader:
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+        self.path = as_path(path)
         self._file: BinaryIO = open_file(self.path, max_bytes=None)
         self.is_open = True
         self._latest: dict[int, dict[int, tuple[int, int, bytes]]] = {}  # the messages of the chunk unpacked last

@@ -16,6 +16,7 @@ from jaxtyping import Int64, Shaped
 
 from farfield.errors import FileFormatError
 from farfield.files.limits import open_file
+from farfield.files.remote_paths import as_path
 from farfield.files.stand_ins import check_itself
 
 Unit = Literal["auto", "s", "ms", "us", "ns"]
@@ -65,7 +66,7 @@ def recognise_stamps(path: Path | str, *, unit: Unit = "auto") -> StampList | No
     Raises:
         FileFormatError: If it is a list of whole numbers that fit no unit.
     """
-    path = Path(path)
+    path = as_path(path)
     check_itself(path)
     with open_file(path, max_bytes=None) as handle:
         first, second = handle.readline(LONGEST_LINE), handle.readline(LONGEST_LINE)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.remote_paths import as_path
 from farfield.files.tables import columns_in
 from farfield.frame.cloud import CLOUD_SUFFIXES, Cloud
 from farfield.frame.record import Frame
@@ -43,7 +44,7 @@ def frame_of(value: Any, *, frame_id: str = "0", sequence: str = "memory") -> Fr
     if isinstance(value, Frame):
         return value
     if isinstance(value, str | Path):
-        return Frame.of(_read(Path(value).expanduser()), frame_id=Path(value).stem, sequence=sequence)
+        return Frame.of(_read(as_path(value).expanduser()), frame_id=Path(value).stem, sequence=sequence)
     return Frame.of(cloud_of(value), frame_id=frame_id, sequence=sequence)
 
 

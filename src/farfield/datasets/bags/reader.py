@@ -16,6 +16,7 @@ from farfield.errors import ConfigError, DatasetError, FarfieldError, FileFormat
 from farfield.files.bags import FILE_SUFFIXES, Bag, Topic, guarded, is_bag
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_times, point_time_column
+from farfield.files.remote_paths import as_path
 from farfield.files.sensor_messages import read_points, read_ros_compressed, read_ros_image
 from farfield.frame import Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import (
@@ -226,7 +227,7 @@ class Bags(Dataset):
         scale = intensity_max if intensity_scale is None else intensity_scale
         if scale is not None and not 0 < scale < np.inf:
             raise ConfigError(f"intensity_scale: expected a positive number, got {scale!r}")
-        self.root, self.tolerance_ns, self.chosen_cloud = Path(root), round(tolerance_ms * 1e6), cloud
+        self.root, self.tolerance_ns, self.chosen_cloud = as_path(root), round(tolerance_ms * 1e6), cloud
         paths = find_bags(self.root)
         self._bags = {path.stem if path.is_file() else path.resolve().name: path for path in paths}
         if len(self._bags) < len(paths):

@@ -24,6 +24,7 @@ from farfield.datasets.cirrus.layout import (
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
+from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import read_rows, returned
 from farfield.geometry.poses import unrigid
@@ -150,7 +151,7 @@ class Cirrus(Dataset):
         max_dt_ms: float | int | None = None,
         intensity_scale: float | int | None = None,
     ) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         settings = mapping if isinstance(mapping, Mapping) else read_mapping(mapping) if mapping else Mapping()
         changes = {"mode": pairing, "max_dt_ms": max_dt_ms}
         changes = {name: value for name, value in changes.items() if value is not None}

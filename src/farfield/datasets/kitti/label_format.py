@@ -13,6 +13,7 @@ from farfield.datasets.labels.formats import BoxLabel, Numbers, Value
 from farfield.datasets.labels.line_labels import FileSpan, kept_numbers, physical_lines, replaced
 from farfield.errors import ConfigError, DatasetError
 from farfield.files.kitti import KittiObjects, parse_labels, read_calib
+from farfield.files.remote_paths import as_path
 from farfield.frame import Boxes, Camera, Key
 from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, KITTI_FROM_CIRRUS
 
@@ -81,7 +82,7 @@ def label_format(data: Kitti) -> KittiLabelFormat | None:
 
 def _parts(data: bytes, path: Path, key: Key, camera: Camera) -> list[FileSpan]:
     objects = parse_labels(data, path)
-    boxes = boxes_in_axes(objects, camera.camera_T_lidar, "camera", Path(path), classes="kitti")
+    boxes = boxes_in_axes(objects, camera.camera_T_lidar, "camera", as_path(path), classes="kitti")
     rows = np.column_stack([boxes.centre_m, boxes.size_m, boxes.yaw_rad]).tolist()
     boxed = objects[objects.has_box]
     by_line = {int(line): index for index, line in enumerate(boxed.line)}

@@ -30,6 +30,7 @@ from farfield.files.clouds import bin_columns, names_of, read_bin, write_bin
 from farfield.files.images import read_image, write_image
 from farfield.files.kitti import read_calib, read_labels, write_labels
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
 from farfield.frame.cloud import read_radar_rows
@@ -82,7 +83,7 @@ class Kitti(Dataset):
         self.label_axes = label_axes
         if classes not in ("cirrus", "kitti"):
             raise ConfigError(f"kitti: expected classes to be one of 'cirrus', 'kitti', got {classes!r}")
-        self.root, self.classes = Path(root), classes
+        self.root, self.classes = as_path(root), classes
         folders = [self.root / part, self.root]
         self.folder = next((folder for folder in folders if any(folder.glob(_CLOUDS))), folders[0])
         self.clouds = sorted(self.folder.glob(_CLOUDS))
@@ -295,7 +296,7 @@ class KittiWriter:
     """
 
     def __init__(self, root: Path | str, *, classes: Mapping[str, str] = KITTI_FROM_CIRRUS) -> None:
-        self.root, self.classes = Path(root), classes
+        self.root, self.classes = as_path(root), classes
 
     def write(
         self,

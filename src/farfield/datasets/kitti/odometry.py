@@ -21,6 +21,7 @@ from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.files.kitti import read_calib, read_rows
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Frame, Lazy
 from farfield.geometry.poses import invert, unrigid
@@ -72,7 +73,7 @@ class KittiOdometry(Dataset):
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
-        self.root = Path(root)
+        self.root = as_path(root)
         self._drives = {path.resolve().name: _Drive(path) for path in drives_in(self.root)}
         self.clouds = [
             path for drive in self._drives.values() for path in sorted(drive.root.glob(_CLOUDS)) if path.stem.isdigit()

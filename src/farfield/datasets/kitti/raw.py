@@ -26,6 +26,7 @@ from farfield.errors import DatasetError, FileFormatError
 from farfield.files.images import read_image
 from farfield.files.kitti import read_raw_calib, read_record, rectified, rigid
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.files.stamps import read_stamps, recognise_stamps
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Camera, Frame, Lazy, Sensor, camera_sensor
@@ -80,7 +81,7 @@ class KittiRaw(Dataset):
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
-        self.root, self.tracklets = Path(root), tracklets
+        self.root, self.tracklets = as_path(root), tracklets
         checked_convention(tracklets)
         self.folders = drives_in(self.root)
         self.clouds = [

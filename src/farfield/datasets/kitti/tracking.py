@@ -26,6 +26,7 @@ from farfield.errors import DatasetError
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiTracks, read_calib, read_tracking
 from farfield.files.point_times import PointTimes
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, CameraField, Frame, Lazy
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
@@ -72,7 +73,7 @@ class KittiTracking(Dataset):
     ) -> None:
         checked_axes(label_axes)
         self.label_axes = label_axes
-        self.root, self.classes = Path(root), classes
+        self.root, self.classes = as_path(root), classes
         self.folder = self.root / part if (self.root / part).is_dir() else self.root
         names = {path.parent.name for path in self.folder.glob(f"velodyne/*/{_CLOUDS}")}
         self.labels = {p.stem: p for name in reversed(_LABEL_FOLDERS) for p in self.folder.glob(f"{name}/{_TRACKS}")}

@@ -52,6 +52,7 @@ from farfield.datasets.kradar.texts import TimedTable, read_lines
 from farfield.datasets.kradar.writer import FrameRecord, quarters, read_record, record_path
 from farfield.datasets.maps import none_before
 from farfield.errors import ConfigError, DatasetError, FileFormatError
+from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Camera, Constant, Frame, Key, Lazy, Sensor, camera_sensor
 from farfield.jobs import HERE, JobOptions
 
@@ -125,7 +126,7 @@ class KRadar(Dataset):
         if calibration is not None and calibration not in RELEASES:
             raise ConfigError(f"KRadar: expected calibration to be one of {', '.join(RELEASES)}; got {calibration!r}")
         self.calibration = calibration
-        self.root = Path(root)
+        self.root = as_path(root)
         self.roots = with_disks((self.root, *map(Path, roots)))
         self._files = FileIndex(self.roots)
         only = only_sequence(self.root)

@@ -22,6 +22,7 @@ from farfield.files.cuboids import check_turns
 from farfield.files.images import read_image
 from farfield.files.intensities import intensity_scale_of
 from farfield.files.pcd import read_pcd
+from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Boxes, Camera, Frame, Lazy, Sensor
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion
 from farfield.vocabulary.classes import NUSCENES_DETECTION_CLASSES, normalised_class
@@ -90,7 +91,7 @@ class SchemaDataset(Dataset):
                 raise ConfigError(f"{self.name}: expected {name} to be one of {', '.join(choices)}, got {value!r}")
         if type(sweeps) is not int or not 1 <= sweeps <= _MOST_SWEEPS:
             raise ConfigError(f"{self.name}: expected sweeps from 1 to {_MOST_SWEEPS}, got {sweeps!r}")
-        self.root, self.sweeps = Path(root), sweeps
+        self.root, self.sweeps = as_path(root), sweeps
         self.classes: Literal["cirrus", "original", "detection"] = classes
         self.axes: Literal["car", "world"] = axes
         self.size_order, self._given_scale = size_order, intensity_scale

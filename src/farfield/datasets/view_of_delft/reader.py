@@ -22,6 +22,7 @@ from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.atomic import read_bytes
 from farfield.files.images import read_image
 from farfield.files.kitti import KittiObjects, read_calib, read_labels
+from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.files.view_of_delft import DelftObjects, read_camera_poses, read_objects
 from farfield.frame import (
@@ -127,7 +128,7 @@ class ViewOfDelft(Dataset):
                 raise ConfigError(f"view_of_delft: expected {option} to be one of {choices}, got {value!r}")
         if intensity_scale is not None and not 0 < intensity_scale < np.inf:
             raise ConfigError(f"intensity_scale: expected a positive number, got {intensity_scale!r}")
-        self.root, self.classes, self.nominal_times = Path(root), classes, nominal_times
+        self.root, self.classes, self.nominal_times = as_path(root), classes, nominal_times
         self.scale = REFLECTANCE_FULL if intensity_scale is None else float(intensity_scale)
         self.trees = find_trees(self.root, part)
         if not self.trees:
