@@ -361,7 +361,8 @@ class Hands:
         self.screen.press("Escape")
         ended = (
             "farfieldTest.state.connected && farfieldTest.state.pending === 0 && "
-            "farfieldTest.state.shown !== null && farfieldTest.state.shown.frame.index === farfieldTest.state.frame"
+            "farfieldTest.state.shown !== null && farfieldTest.state.shown.frame.index === farfieldTest.state.frame && "
+            "roughLink.fits.size === 0"
         )
         until, rests = time.monotonic() + seconds, 0
         while rests < 3 and time.monotonic() < until:  # a message that was lost is noticed with the next one
@@ -371,7 +372,7 @@ class Hands:
             state = self.screen.page.evaluate(
                 "JSON.stringify({frame: farfieldTest.state.frame, shown: farfieldTest.state.shown?.frame.index, "
                 "pending: farfieldTest.state.pending, connected: farfieldTest.state.connected, "
-                "stopped: farfieldTest.state.stopped, kept: Object.entries(localStorage), "
+                "stopped: farfieldTest.state.stopped, fits: roughLink.fits.size, kept: Object.entries(localStorage), "
                 "closes: roughLink.closes.slice(-5), opened: roughLink.opened, now: performance.now()})"
             )
             raise AssertionError(f"stuck: {state[:1500]}; {self.screen.text('#bars')!r}")
