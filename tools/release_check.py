@@ -45,6 +45,7 @@ SMOKE = {
     "export": "import onnx, onnxscript, onnxruntime, torch",
     "onnx": "import onnxruntime",
     "ray": "import ray.exceptions",
+    "remote": "import aiohttp, fsspec, obstore.store",
     "studio": "import starlette, uvicorn, websockets, zstandard, cv2",
     "all": "import torch, embreex, numba, pyarrow, rosbags, lazrs, cv2, av, onnx, starlette",
 }
