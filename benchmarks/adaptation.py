@@ -22,6 +22,7 @@ from farfield.evaluation import detect
 from farfield.experiments.plan import Plan
 from farfield.experiments.schema import Experiment, experiment_of
 from farfield.files.atomic import write_text
+from farfield.jobs import JobOptions
 from farfield.metrics.deciding import Difference, Scalar, decide, difference_of, figure, pooled
 from farfield.metrics.deciding.difference import ScoreSample, sample
 from farfield.papers import load_grid
@@ -331,7 +332,7 @@ def trained(grid: ExperimentGrid, options: argparse.Namespace) -> tuple[list[Tra
     """Simulate, train and score all that is not done: the jobs in their order, and how they were scored."""
     runs = options.out / "runs"
     places = locations_of(grid, BUDGET, options.out / "data")
-    provide(places, workers=options.workers, progress=partial(progress, what="simulating"))
+    provide(places, options=JobOptions(workers=options.workers, progress=partial(progress, what="simulating")))
     fingerprints = fingerprints_of(places)
     jobs = jobs_of(grid, BUDGET, (), DataLocations(locations=places, fingerprints=fingerprints), runs)
     settings = grid.budgets[BUDGET]

@@ -78,7 +78,7 @@ def digest(out: Path) -> tuple[str, int]:
 
 def verbs(data: Path, cached: Path, kradar: Path, frames: int) -> dict[str, tuple[list[str], str]]:
     """The words of each verb, and where its files go."""
-    few = f"--frames {frames} --sequences 4 --sensors gaussian,uniform"
+    few = f"--frames {frames} --sequences 4 --sensors gaussian,uniform,camera"
     words = {
         "simulate (Cirrus)": f"simulate cirrus-sim OUT/a {few}",
         "simulate (K-Radar)": f"simulate kradar-sim-mini OUT/a --frames {max(frames // 2, 6)} --sensors os2-64,cube",
@@ -91,15 +91,19 @@ def verbs(data: Path, cached: Path, kradar: Path, frames: int) -> dict[str, tupl
         "evaluate": f"evaluate pointpillars-cirrus-sim {data} --clouds gaussian --replicates 20 --out OUT/a",
         "stats": f"stats {data} --name frames --sweeps {frames} --out OUT/a",
         "doctor": f"doctor {data} --frames {frames}",
+        "compare": f"compare {data} {cached} --frames {frames} --out OUT/a",
+        "odometry": f"odometry {data} --out OUT/a",
+        "depth": f"depth {data} --out OUT/a",
+        "anonymize": f"anonymize {data} OUT/a",
     }
     return {name: (line.split(), str(cached) if "cache" in name else "OUT/a") for name, line in words.items()}
 
 
-def table(folder: Path, frames: int, only: Sequence[str] | None) -> bool:
-    """CPU and speed-up of each verb, and whether both left the same bytes."""
+def table(folder: Path, frames: int, only: Sequence[str] | None, *, ray: bool) -> bool:
+    """CPU and speed-up of each verb, and whether all left the same bytes."""
     data, kradar = folder / "data", folder / "kradar"
     record = [sys.executable, "-m", "farfield.cli", "simulate"]
-    few = ["--frames", str(frames), "--sequences", "4", "--sensors", "gaussian,uniform"]
+    few = ["--frames", str(frames), "--sequences", "4", "--sensors", "gaussian,uniform,camera"]
     subprocess.run([*record, "cirrus-sim", str(data), *few], check=True, stdout=subprocess.DEVNULL)
     cubes = ["--frames", str(max(frames // 2, 6)), "--sensors", "os2-64,cube"]
     subprocess.run([*record, "kradar-sim-mini", str(kradar), *cubes], check=True, stdout=subprocess.DEVNULL)
@@ -110,18 +114,18 @@ def table(folder: Path, frames: int, only: Sequence[str] | None) -> bool:
         if only is not None and name not in only:
             continue
         costs, digests = [], []
-        for workers in (1, 2):
-            out = folder / f"{name.replace(' ', '-')}-{workers}"
+        for flags in (["--workers", "1"], ["--workers", "2"], ["--workers", "2", "--engine", "ray"])[: 2 + ray]:
+            out = folder / f"{name.replace(' ', '-')}-{len(costs)}"
             out.mkdir()
-            given = [word.replace("OUT", str(out)) for word in words]
-            costs.append(measured([*given, "--workers", str(workers)]))
+            costs.append(measured([*(word.replace("OUT", str(out)) for word in words), *flags]))
             left = Path(compared.replace("OUT", str(out)))
             digests.append(digest(left) if left.exists() else ("prints only", 0))
-        one, two = costs
-        same = digests[0] == digests[1]
+        one, two, *by_ray = costs
+        same = len(set(digests)) == 1
         equal &= same
         said = f"{digests[0][1]} {digests[0][0]}" if same else f"DIFFER: {digests}"
         numbers = f"{one.cpu_s:9.1f} {one.wall_s:7.1f} {two.cpu_s:9.1f} {two.wall_s:7.1f}"
+        said += "".join(f"; Ray: wall {cost.wall_s:.1f} s" for cost in by_ray)
         print(f"{name:26} {numbers} {one.wall_s / two.wall_s:9.2f} {two.worker_mb:5.0f}  {said}", flush=True)
     print("equal bytes" if equal else "BYTES DIFFER")
     return equal
@@ -232,9 +236,9 @@ def repeated(source: Path, target: Path, count: int) -> Path:
 
 
 def run_verbs(arguments: Sequence[str]) -> int:
-    """Every verb with one process and with two workers on the same simulated frames.
+    """Every verb with one process, with two workers, and with two of a local Ray, on the same simulated frames.
 
-        python benchmarks/bulk_work.py verbs [--frames 24] [--only VERB ...]
+        python benchmarks/bulk_work.py verbs [--frames 24] [--only VERB ...] [--ray]
 
     The digests of all files that both left must be equal (what the clock measured stands in timing.json, apart). MB is
     the largest worker. Exit status 1 if bytes differ.
@@ -242,9 +246,10 @@ def run_verbs(arguments: Sequence[str]) -> int:
     parser = part_parser(run_verbs.__doc__)
     parser.add_argument("--frames", type=int, default=24)
     parser.add_argument("--only", nargs="+", help="names of the table's first column")
+    parser.add_argument("--ray", action="store_true", help="with --engine ray too, where it is installed")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        return int(not table(Path(folder), options.frames, options.only))
+        return int(not table(Path(folder), options.frames, options.only, ray=options.ray))
 
 
 def run_mechanism(arguments: Sequence[str]) -> int:

@@ -148,6 +148,21 @@ def test_units_of_no_work_cost_the_command_little() -> None:
     assert float(done.stdout) > 0  # the figure stands in the report of the run: no timed assertion
 
 
+def test_a_grid_of_trainings_gives_the_same_weights_and_decisions(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    pytest.importorskip("embreex")
+    support = Path(__file__).resolve().parents[1] / "support" / "tinygrid.py"
+    trees = []
+    for workers, engine in (("1", "local"), ("2", "ray")):
+        out = tmp_path / engine
+        words = [sys.executable, str(support), str(out), workers, engine]
+        subprocess.run(words, check=True, env=ENVIRONMENT, capture_output=True, timeout=1500)
+        files = [out / "reproduction.json", *out.glob("runs/*/weights.safetensors"), *out.glob("runs/*/log.jsonl")]
+        trees.append({path.relative_to(out).as_posix(): path.read_bytes() for path in files})
+    assert len(trees[0]) > 10
+    assert trees[0] == trees[1]
+
+
 def test_a_verb_leaves_the_same_bytes(tmp_path: Path) -> None:
     pytest.importorskip("embreex")
     words = [sys.executable, "-m", "farfield.cli", "simulate", "cirrus-sim-mini"]

@@ -104,10 +104,11 @@ class QuicklyMeasured(Reproduction):
     measured_steps: int = 2
 
 
-def tiny(out: Path, workers: int = 1) -> Reproduction:
+def tiny(out: Path, workers: int = 1, engine: str = "local") -> Reproduction:
     """A reproduction of it in a folder."""
     shipped = Reproduction.of("cirrus", out=out)
-    return Reproduction(grid=tiny_grid(), claims=shipped.claims, out=out, workers=workers, measured_steps=2)
+    where = {"workers": workers, "engine": engine}
+    return Reproduction(grid=tiny_grid(), claims=shipped.claims, out=out, measured_steps=2, **where)
 
 
 def tiny_kradar(out: Path, **options: Any) -> Reproduction:
@@ -123,5 +124,5 @@ if __name__ == "__main__":
         reproducing.load_grid = {"cirrus": tiny_grid()}.__getitem__
         papers.Reproduction = QuicklyMeasured
         raise SystemExit(main())
-    tiny(Path(sys.argv[1]), int(sys.argv[2])).run()
+    tiny(Path(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]).run()
     print(json.dumps("done"))

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction
 
@@ -27,6 +27,8 @@ def run(
     data: Path | None = None,
     source: Path | None = None,
     workers: int = 0,
+    engine: str = "local",
+    address: str = "",
     device: Literal["auto", "cpu", "cuda"] = "auto",
     precision: Literal["auto", "fp32", "bf16"] | None = None,
     train_only: bool = False,
@@ -68,6 +70,9 @@ def run(
         data: The real data set; without one all is simulated.
         source: Real data of the other device for Table IV, such as KITTI (default: simulated).
         workers: Processes, one thread each, which share the GPU if there is one; 0 takes as many as there are cores.
+        engine: Where the runs are done: local, ray, or an installed engine's name; costs are measured here.
+        address: Ray's cluster: auto for the one that this machine is a node of, or HOST:PORT (default: a Ray of this
+            machine alone, started for the command).
         device: What trains and detects; auto takes a GPU if there is one.
         precision: Number type of all trainings (default: the budget's). auto: bf16 where a GPU has it, else fp32.
         train_only: Simulate what runs learn from and train, and score nothing: the same command without it, here or
@@ -91,13 +96,16 @@ def run(
         if train_only or device != "auto" or precision is not None:
             raise ConfigError("--train-only, --device, --precision: expected without --transfer and --seeds")
         folder = own or Path("runs") / "reproduce-kradar-transfer"
-        return _transfer(paper, folder, seeds, workers, plan=plan, page=page, dry_run=dry_run)
+        where = {"workers": workers or 1, "engine": engine, "address": address}
+        return _transfer(paper, folder, seeds, where, plan=plan, page=page, dry_run=dry_run)
     reproduction = Reproduction.of(
         paper,
         budget=budget,
         out=own or Path("runs") / f"reproduce-{paper}-{budget}",
         minutes=minutes,
         workers=workers,
+        engine=engine,
+        address=address,
         data=data,
         source=source,
         device=device,
@@ -186,7 +194,7 @@ def _transfer(
     paper: str,
     out: Path,
     seeds: tuple[int, ...] | None,
-    workers: int,
+    where: dict[str, Any],
     *,
     plan: bool,
     page: bool,
@@ -201,7 +209,7 @@ def _transfer(
         table=load_table(),
         out=out,
         seeds=seeds,
-        workers=workers or 1,
+        **where,
         progress=_shown,
         report=partial(print, flush=True),
     )

@@ -11,7 +11,7 @@ from farfield.datasets import Dataset, open_dataset
 from farfield.errors import ConfigError
 from farfield.files.sizes import sized
 from farfield.frame.provenance import SIMULATION_JOURNAL
-from farfield.jobs.runs import Progress
+from farfield.jobs import JobOptions
 from farfield.papers.grid import ExperimentGrid, SimulatedSet
 from farfield.simulation.recording import RecordingSummary, record
 from farfield.simulation.recording.frames import bytes_needed
@@ -86,16 +86,14 @@ def locations_of(
 def provide(
     locations: Mapping[str, DataLocation],
     *,
-    workers: int = 0,
-    progress: Progress = iter,
+    options: JobOptions,
     report: Callable[[str], object] | None = None,
 ) -> float:
     """Simulate what is not there yet, complete frames only; called again it goes on.
 
     Args:
         locations: The sets; those of the user are left as they are.
-        workers: Processes; 0 takes as many as there are cores and memory for.
-        progress: Wraps the numbers of the frames that are left.
+        options: Who simulates them.
         report: Called with lines of what is done.
 
     Returns:
@@ -108,8 +106,10 @@ def provide(
                 location.simulated,
                 location.path,
                 time=location.time,
-                workers=workers,
-                progress=progress,
+                workers=options.workers,
+                engine=options.engine,
+                address=options.address,
+                progress=options.progress,
                 report=report,
             )
     return time.monotonic() - began

@@ -82,6 +82,8 @@ class Reproduction:
         budget: Name of the budget.
         minutes: Minutes that all of it takes at most; None for the budget's own core minutes.
         workers: Processes, one thread each; 0 for as many as there are cores.
+        engine: Where they work: ``"local"``, ``"ray"``, or an installed engine's name. Costs are measured here.
+        address: Of Ray's cluster.
         data: The user's data set; without one all is simulated.
         source: The user's data of the other device, for Table IV.
         device: What trains and detects: ``"auto"``, ``"cpu"`` or ``"cuda"``, a GPU that all workers share.
@@ -100,6 +102,8 @@ class Reproduction:
     budget: str = "laptop"
     minutes: float | None = None
     workers: int = 0
+    engine: str = "local"
+    address: str = ""
     data: Path | None = None
     source: Path | None = None
     device: str = "auto"
@@ -137,6 +141,11 @@ class Reproduction:
     def num_workers(self) -> int:
         """Processes at a time."""
         return self.workers or usable_cores()
+
+    def _options(self, what: str) -> JobOptions:
+        """Who does the units of a part, with its bar."""
+        workers = self.num_workers if self.engine == "local" else self.workers  # 0: as many as a cluster has room for
+        return JobOptions(workers=workers, engine=self.engine, address=self.address, progress=self.progress(what))
 
     @property
     def simulated(self) -> bool:
@@ -194,12 +203,12 @@ class Reproduction:
             share = self.outline().steps_share if self._limited else 1.0
             locations, learnt = self.locations, self._learnt()
             needed = {name: locations[name] for name in sorted(self._untrained(share))}
-            provide(needed, workers=self.num_workers, progress=self.progress("simulating"), report=self.report)
+            provide(needed, options=self._options("simulating"), report=self.report)
             fingerprints = learnt_fingerprints(self.out, locations, learnt)
             note_fingerprints(self.out, locations, fingerprints)
             jobs = self.jobs(locations, fingerprints, steps_share=share)
-            scoring, progress = self._scoring(locations, {}), self.progress("trainings")
-            train_all(jobs, self._runs, scoring, workers=self.num_workers, progress=progress, report=self.report)
+            scoring = self._scoring(locations, {})
+            train_all(jobs, self._runs, scoring, options=self._options("trainings"), report=self.report)
         return [job for job in jobs if not (self._runs / job.folder / WEIGHTS).is_file()]
 
     def run(self, *, page_only: bool = False) -> Path:
@@ -237,7 +246,7 @@ class Reproduction:
         if not page_only:
             others = set(locations) - learnt
             needed = {name: locations[name] for name in locations if name in others | self._untrained(share)}
-            provide(needed, workers=self.num_workers, progress=self.progress("simulating"), report=self.report)
+            provide(needed, options=self._options("simulating"), report=self.report)
         fingerprints = learnt_fingerprints(self.out, locations, learnt)
         if not page_only:
             note_fingerprints(self.out, locations, fingerprints)
@@ -246,8 +255,7 @@ class Reproduction:
         jobs = self.jobs(locations, fingerprints, steps_share=share)
         scoring = self._scoring(locations, fingerprints)
         if not page_only:
-            progress = self.progress("runs")
-            do_all(jobs, self._runs, scoring, workers=self.num_workers, progress=progress, report=self.report)
+            do_all(jobs, self._runs, scoring, options=self._options("runs"), report=self.report)
         done = done_jobs(jobs, self._runs, scoring)
         if not done:
             raise ConfigError(f"{self.out}: expected finished runs to write a page of, found none of {len(jobs)}")
@@ -438,7 +446,7 @@ class Reproduction:
         self.report(f"deciding on {len(self.claims)} claims with {len(done)} of {count_of(len(jobs), 'run')}")
         trees = [scores_of(job, self._runs) for job in done]
         scores = Scores.of(trees)
-        options = JobOptions(workers=self.num_workers, progress=self.progress("counting points"))
+        options = self._options("counting points")
         objects = objects_in(self._existing(self.settings.statistics_on, locations), options)
         rule = DecisionRule(claims=self.claims, grid=self.grid, settings=self.settings, scores=scores, objects=objects)
         comparisons = rule.decide()
@@ -485,8 +493,7 @@ class Reproduction:
         if self.paper != "kradar":
             return []
         locations = self.sheet_locations
-        progress = self.progress("simulating the sheets")
-        provide(locations, workers=self.num_workers, progress=progress, report=self.report)
+        provide(locations, options=self._options("simulating the sheets"), report=self.report)
         return sheets_of(locations, None if self.simulated else first_set, weights, self.settings)
 
 

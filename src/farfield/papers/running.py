@@ -193,8 +193,7 @@ def do_all(
     folder: Path,
     scoring: GridScoring,
     *,
-    workers: int,
-    progress: Progress = iter,
+    options: JobOptions,
     report: Report = silent,
 ) -> None:
     """Do all jobs that are not done: first those that others start from, then seed by seed.
@@ -203,8 +202,7 @@ def do_all(
         jobs: The jobs.
         folder: Folder of their folders and of the journal.
         scoring: How they are scored.
-        workers: Processes, one thread each.
-        progress: Wraps the numbers of the jobs that are left.
+        options: Who does them.
         report: Called with a line before each wave.
 
     Raises:
@@ -217,7 +215,7 @@ def do_all(
         if left:
             names = ", ".join(dict.fromkeys(name for job in wave for name in job.runs))
             report(f"{left} of {count_of(len(units), 'run')} are left: {names}")
-        run(RunTask(folder, scoring), units, JobOptions(workers=workers, progress=progress), journal=journal)
+        run(RunTask(folder, scoring), units, options, journal=journal)
 
 
 def train_all(
@@ -225,8 +223,7 @@ def train_all(
     folder: Path,
     scoring: GridScoring,
     *,
-    workers: int,
-    progress: Progress = iter,
+    options: JobOptions,
     report: Report = silent,
 ) -> None:
     """Train all jobs whose weights are not there, in the order of :func:`do_all`, and score none.
@@ -235,8 +232,7 @@ def train_all(
         jobs: The jobs.
         folder: Folder of their folders.
         scoring: Gives the frames that their experiments do not open.
-        workers: Processes, one thread each.
-        progress: Wraps the numbers of the jobs that are left.
+        options: Who does them.
         report: Called with a line before each wave.
 
     Raises:
@@ -247,7 +243,7 @@ def train_all(
         if left:
             report(f"{len(left)} of {len(wave)} trainings are left: {', '.join(job.experiment.name for job in left)}")
             task = RunTask(folder, scoring, train_only=True)
-            run(task, units_of(left), JobOptions(workers=workers, progress=progress))
+            run(task, units_of(left), options)
 
 
 def units_of(jobs: Iterable[TrainingJob]) -> list[Unit]:

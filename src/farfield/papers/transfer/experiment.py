@@ -5,7 +5,7 @@ Jobs are done by the engine of the papers' grids (:mod:`farfield.papers.running`
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -134,6 +134,8 @@ class TransferExperiment:
         out: Folder of data, runs and the table.
         seeds: Those of the table unless given.
         workers: Processes, one thread each.
+        engine: Where they work, as of :class:`~farfield.jobs.JobOptions`.
+        address: Of Ray's cluster.
         progress: Makes what wraps the numbers of units that are left, by what is done.
         report: Called with lines of what is done.
     """
@@ -142,6 +144,8 @@ class TransferExperiment:
     out: Path
     seeds: tuple[int, ...] | None = None
     workers: int = 1
+    engine: str = "local"
+    address: str = ""
     progress: Callable[[str], Progress] = no_progress
     report: Report = silent
 
@@ -166,12 +170,13 @@ class TransferExperiment:
         with held(self.out):
             self.runs_folder.mkdir(parents=True, exist_ok=True)
             # simulate, and measure the floors of the training sets
-            progress = self.progress("simulating")
-            provide(scoring.locations, workers=self.workers, progress=progress, report=self.report)
+            simulating = self.progress("simulating")
+            options = JobOptions(workers=self.workers, engine=self.engine, address=self.address, progress=simulating)
+            provide(scoring.locations, options=options, report=self.report)
             scoring.measure_floors()
             # train and score
-            progress = self.progress("training")
-            do_all(self.jobs, self.runs_folder, scoring, workers=self.workers, progress=progress, report=self.report)
+            options = replace(options, progress=self.progress("training"))
+            do_all(self.jobs, self.runs_folder, scoring, options=options, report=self.report)
 
     def write(self) -> list[str]:
         """Decide, and write ``transfer.txt``, ``transfer.json`` and ``report.html`` of the runs done.
