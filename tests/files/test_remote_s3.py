@@ -1,5 +1,7 @@
 """A store of S3's kind that answers, fails and lies: read in pages, tried again, never half."""
 
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -174,6 +176,27 @@ def test_a_later_command_goes_on_with_what_the_store_has(server: SmallS3) -> Non
         (folder / "stale.bin").unlink()
     assert server.objects == {"b/out/old.bin": b"old", "b/out/new.bin": b"new"}
     assert [path for method, path in server.requests if method == "PUT" and "old" in path] == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_copied_process_is_refused_instead_of_waiting_for_ever(server: SmallS3) -> None:
+    server.objects = {"b/x.bin": b"1", "b/y.bin": b"2"}
+    assert as_path("s3://b/x.bin").read_bytes() == b"1"
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:  # pragma: no cover - another process
+        signal.alarm(30)
+        try:
+            as_path("s3://b/y.bin").read_bytes()
+        except RemoteError as error:
+            os.write(writing, str(error).encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    os.waitpid(child, 0)
+    with os.fdopen(reading, "rb") as words:
+        assert b"multiprocessing_context='spawn'" in words.read()
 
 
 def test_a_web_server_is_not_written_to() -> None:

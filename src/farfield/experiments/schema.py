@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 import yaml
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -26,6 +27,7 @@ from farfield.detectors.config import DetectorConfig, current_key, renamed
 from farfield.errors import ConfigError, FarfieldError, fault_of, plain
 from farfield.experiments.catalogue import find
 from farfield.files.atomic import read_bytes
+from farfield.files.remote_paths import as_path
 from farfield.files.yaml_text import MAX_BYTES, PlainSettings, plain_yaml
 from farfield.simulation.donor_frames import DonorConfig
 from farfield.simulation.recording import SimulationConfig
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
 class DataConfig(PlainSettings):
     """What to train on."""
 
-    path: Path = Field(description="the data set's folder")
+    path: Annotated[Path, AfterValidator(as_path)] = Field(description="the data set's folder, or its URL")
     split: str | None = Field(
         None, description="train, val, test, time-train, time-val, time-test (cut in time), or nothing for all frames"
     )

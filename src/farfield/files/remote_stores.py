@@ -116,6 +116,11 @@ def find_store(scheme: str, bucket: str) -> RemoteStore:
         raise MissingExtraError("fsspec" if scheme in SCHEMES[3:] else "obstore", "remote", f"{scheme}://") from error
 
 
+def may_be_copied() -> bool:
+    """Whether a copy of this process (fork) could go on: none can that reads a store, whose threads a copy lacks."""
+    return find_store.cache_info().currsize == 0
+
+
 @contextmanager
 def said(url: str) -> Iterator[None]:
     """Turn what libraries raise in the block into an error that names the URL and what may help.
@@ -167,11 +172,24 @@ class _ObjectStore:
 
         settings: Any = {"max_retries": _RETRIES, "retry_timeout": _PATIENCE}
         self.obstore: Any = obstore
+        self.process = os.getpid()
         self.store: Any = from_url(f"{scheme}://{bucket}", retry_config=settings)
         self.url = f"{scheme}://{bucket}"
 
+    @contextmanager
+    def _asked(self, key: str) -> Iterator[None]:
+        """Of a request; in the copy of a process, which has none of obstore's threads, it would wait for ever."""
+        url = f"{self.url}/{key}"
+        if os.getpid() != self.process:
+            raise RemoteError(
+                f"{url}: expected a new process, got a copy of one that reads the store already. Start workers by "
+                "spawn: DataLoader(..., multiprocessing_context='spawn')."
+            )
+        with said(url):
+            yield
+
     def entries(self, key: str) -> dict[str, RemoteEntry]:
-        with said(f"{self.url}/{key}"):
+        with self._asked(key):
             listing = self.obstore.list_with_delimiter(self.store, f"{key}/" if key else None)
         entries = {prefix.rpartition("/")[2]: RemoteEntry(is_folder=True) for prefix in listing["common_prefixes"]}
         for item in listing["objects"]:
@@ -181,23 +199,23 @@ class _ObjectStore:
 
     def entry(self, key: str) -> RemoteEntry | None:
         try:
-            with said(f"{self.url}/{key}"):
+            with self._asked(key):
                 return _of_object(self.obstore.head(self.store, key))
         except FileNotFoundError:
             return None
 
     def fetch(self, key: str, tag: str, handle: BinaryIO) -> None:
-        with said(f"{self.url}/{key}"):
+        with self._asked(key):
             answer = self.obstore.get(self.store, key, options={"if_match": tag} if tag else {})
             for chunk in answer.stream(min_chunk_size=_CHUNK_BYTES):
                 handle.write(chunk)
 
     def put(self, key: str, path: Path) -> None:
-        with said(f"{self.url}/{key}"):
+        with self._asked(key):
             self.obstore.put(self.store, key, path)
 
     def remove(self, key: str) -> None:
-        with said(f"{self.url}/{key}"):
+        with self._asked(key):
             self.obstore.delete(self.store, key)
 
 

@@ -26,6 +26,7 @@ from farfield.datasets.base import Dataset
 from farfield.detectors.inputs import CloudInput, Inputs, cloud_tensor
 from farfield.detectors.network import Assigner
 from farfield.errors import ConfigError, DatasetError
+from farfield.files.remote_stores import may_be_copied
 from farfield.frame import Annotation, Key
 from farfield.geometry.boxes import BOX_MARGIN_M, Boxes, count_points_in_boxes
 from farfield.training.augmentation import SWEEP, Points, Progress, RollingBank, augment, cut_out
@@ -506,6 +507,7 @@ def batches(
         StreamSamples(streams),
         batch_sampler=positions,
         num_workers=workers,
+        multiprocessing_context=None if may_be_copied() or not workers else "spawn",
         collate_fn=dict,  # a batch comes by stream as it is
         worker_init_fn=_one_thread,
         prefetch_factor=4 if workers else None,

@@ -52,6 +52,7 @@ from farfield.experiments.frames import spread, without
 from farfield.experiments.plan import Plan, logged
 from farfield.experiments.schema import DataConfig, Experiment
 from farfield.files.atomic import write_text
+from farfield.files.remote_paths import as_path
 from farfield.files.sizes import sized
 from farfield.jobs import JobOptions
 from farfield.jobs.folders import held
@@ -178,7 +179,7 @@ def _job(
     began = time.monotonic()
     job = AdaptationJob(
         start=str(detector),
-        labelled_source=None if source is None else Path(source),
+        labelled_source=None if source is None else as_path(source),
         data=_opened(data),
         folder=folder,
         choices=options_of(choices),

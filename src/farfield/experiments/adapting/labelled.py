@@ -20,6 +20,7 @@ from farfield.evaluation.detecting import points_in_boxes
 from farfield.experiments.adapting.source import TrainingHistory
 from farfield.experiments.frames import annotated_frames
 from farfield.experiments.schema import DataConfig
+from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Boxes
 from farfield.metrics.result import digest_of
 from farfield.training.samples import no_boxes
@@ -194,7 +195,7 @@ def labelled_sweeps(
         DatasetError: If no frame is labelled, or labels are of no frame.
         FileFormatError: If a file of labels is damaged.
     """
-    opened = labels if isinstance(labels, Dataset) else _opened(Path(labels), data)
+    opened = labels if isinstance(labels, Dataset) else _opened(as_path(labels), data)
     opened = opened.mapped(WholeBodies()) if whole_bodies and WholeBodies().fits(opened) else opened
     frames = annotated_frames(as_trained(opened, detector.info), "skip").mapped(AnnotatedField())
     first = frames[0]
