@@ -110,7 +110,7 @@ def find_store(scheme: str, bucket: str) -> RemoteStore:
         RemoteError: If its settings are none.
     """
     try:
-        with said(f"{scheme}://{bucket}"):
+        with url_in_errors(f"{scheme}://{bucket}"):
             return _ObjectStore(scheme, bucket) if scheme in ("s3", "gs", "az") else _FileSystem(scheme, bucket)
     except ImportError as error:
         raise MissingExtraError("fsspec" if scheme in SCHEMES[3:] else "obstore", "remote", f"{scheme}://") from error
@@ -122,7 +122,7 @@ def may_be_copied() -> bool:
 
 
 @contextmanager
-def said(url: str) -> Iterator[None]:
+def url_in_errors(url: str) -> Iterator[None]:
     """Turn what libraries raise in the block into an error that names the URL and what may help.
 
     Raises:
@@ -177,7 +177,7 @@ class _ObjectStore:
         self.url = f"{scheme}://{bucket}"
 
     @contextmanager
-    def _asked(self, key: str) -> Iterator[None]:
+    def _request(self, key: str) -> Iterator[None]:
         """Of a request; in the copy of a process, which has none of obstore's threads, it would wait for ever."""
         url = f"{self.url}/{key}"
         if os.getpid() != self.process:
@@ -185,11 +185,11 @@ class _ObjectStore:
                 f"{url}: expected a new process, got a copy of one that reads the store already. Start workers by "
                 "spawn: DataLoader(..., multiprocessing_context='spawn')."
             )
-        with said(url):
+        with url_in_errors(url):
             yield
 
     def entries(self, key: str) -> dict[str, RemoteEntry]:
-        with self._asked(key):
+        with self._request(key):
             listing = self.obstore.list_with_delimiter(self.store, f"{key}/" if key else None)
         entries = {prefix.rpartition("/")[2]: RemoteEntry(is_folder=True) for prefix in listing["common_prefixes"]}
         for item in listing["objects"]:
@@ -199,23 +199,23 @@ class _ObjectStore:
 
     def entry(self, key: str) -> RemoteEntry | None:
         try:
-            with self._asked(key):
+            with self._request(key):
                 return _of_object(self.obstore.head(self.store, key))
         except FileNotFoundError:
             return None
 
     def fetch(self, key: str, tag: str, handle: BinaryIO) -> None:
-        with self._asked(key):
+        with self._request(key):
             answer = self.obstore.get(self.store, key, options={"if_match": tag} if tag else {})
             for chunk in answer.stream(min_chunk_size=_CHUNK_BYTES):
                 handle.write(chunk)
 
     def put(self, key: str, path: Path) -> None:
-        with self._asked(key):
+        with self._request(key):
             self.obstore.put(self.store, key, path)
 
     def remove(self, key: str) -> None:
-        with self._asked(key):
+        with self._request(key):
             self.obstore.delete(self.store, key)
 
 
@@ -239,7 +239,7 @@ class _FileSystem:
     def entries(self, key: str) -> dict[str, RemoteEntry]:
         url = self._named(key)
         try:
-            with said(url):
+            with url_in_errors(url):
                 if self.is_web and not str(self.system.info(f"{url}/").get("mimetype", "")).startswith("text/html"):
                     return {}  # no page of links: it is not read whole to see that
                 listing = self.system.ls(f"{url}/" if self.is_web else url, detail=True)
@@ -264,7 +264,7 @@ class _FileSystem:
     def entry(self, key: str) -> RemoteEntry | None:
         url = self._named(key)
         try:
-            with said(url):
+            with url_in_errors(url):
                 item = self.system.info(url)
         except FileNotFoundError:
             return None
@@ -274,18 +274,18 @@ class _FileSystem:
 
     def fetch(self, key: str, tag: str, handle: BinaryIO) -> None:  # noqa: ARG002 - a later look compares tags
         url = self._named(key)
-        with said(url), self.system.open(url, "rb", block_size=_CHUNK_BYTES) as source:
+        with url_in_errors(url), self.system.open(url, "rb", block_size=_CHUNK_BYTES) as source:
             while chunk := source.read(_CHUNK_BYTES):
                 handle.write(chunk)
 
     def put(self, key: str, path: Path) -> None:
         self._refuse_web()
-        with said(self._named(key)):
+        with url_in_errors(self._named(key)):
             self.system.pipe_file(self._named(key), path.read_bytes())
 
     def remove(self, key: str) -> None:
         self._refuse_web()
-        with said(self._named(key)):
+        with url_in_errors(self._named(key)):
             if self.system.exists(self._named(key)):
                 self.system.rm_file(self._named(key))
 
