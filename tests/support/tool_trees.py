@@ -241,7 +241,7 @@ def write_scale(root: Path) -> Path:
             "device_heading": {"w": math.cos(turn / 2), "x": 0, "y": 0, "z": math.sin(turn / 2)},
             "timestamp": SCALE_NS + number * 10**8,
         }
-        (root / f"frame-{name}.json").write_text(json.dumps(frame))
+        (root / f"{name}.json").write_text(json.dumps(frame))
         Image.fromarray(np.full((18, 32, 3), number, np.uint8)).save(root / f"image-front-{name}.png")
         cuboids = []
         for label, box, track in rows:

@@ -142,7 +142,7 @@ class ScaleAi(Dataset):
         root: Path | str,
         *,
         answer: str = "",
-        metres_per_unit: float | None = None,
+        metres_per_unit: float | int | None = None,
         intensity_scale: float | int | None = None,
         time_unit: TimeUnit = "ns",
     ) -> None:
@@ -174,7 +174,7 @@ class ScaleAi(Dataset):
         if answer is not None:
             _check_count(answer, list(files.values()))
         said = None if order is None else order.metres_per_unit
-        metres_per_unit = self.metres_per_unit or said or 1.0
+        metres_per_unit = float(self.metres_per_unit or said or 1)
         return [
             _Member(path=path, sequence=sequence, answer=answer, number=number, metres_per_unit=metres_per_unit)
             for number, path in enumerate(files.values())
