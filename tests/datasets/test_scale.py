@@ -111,6 +111,16 @@ def test_names_are_ordered_by_their_numbers_and_a_task_decides_otherwise(tmp_pat
         turned.drives()
 
 
+def test_a_callback_and_its_task_may_lie_beside_each_other(tmp_path: Path) -> None:
+    put_task(write_scale(tmp_path), "0008.json", "0007.json")
+    task = json.loads((tmp_path / "task.json").read_text())
+    (tmp_path / "callback.json").write_text(json.dumps({"task_id": "5", "response": {}, "task": task}))
+    assert open_dataset(tmp_path).frame_ids == ("0008", "0007")
+    put_task(tmp_path, "0007.json", "0008.json")
+    with pytest.raises(DatasetError, match=r"task\.json: expected the same frames"):
+        open_dataset(tmp_path)
+
+
 def test_an_answer_above_the_frames_is_theirs(tmp_path: Path) -> None:
     write_scale(tmp_path / "frames")
     (tmp_path / "frames" / "answer.json").rename(tmp_path / "answer.json")

@@ -164,13 +164,21 @@ class ScaleAi(Dataset):
 
     def _of_folder(self, folder: Path, folders: Sequence[Path], sequence: str) -> list[_Member]:
         files = {path.name: path for path in _jsons(folder) if _kind(_head(path)) == "frame"}
-        task = self._beside(folder, folders, "task")
-        order = None if task is None else parse_order(read_bytes(task), task)
-        if task is not None and order is not None:
+        order = None
+        for task in self._beside(folder, folders, "task"):
+            if order is not None and parse_order(read_bytes(task), task) != order:
+                raise DatasetError(f"{task}: expected the same frames as in the other task beside it, found others")
+            order = order or parse_order(read_bytes(task), task)
             files = _in_order(files, order, task)
-        else:
-            self._ordered = False
-        answer = self._beside(folder, folders, "answer")
+        self._ordered &= order is not None
+        answers = self._beside(folder, folders, "answer")
+        if len(answers) > 1:
+            shown = ", ".join(path.name for path in answers[:5])
+            expected = f"one answer of Scale for {folder}"
+            raise DatasetError(
+                f"{answers[0].parent}: expected {expected}, found {shown}; name the one with --reader answer=NAME"
+            )
+        answer = answers[0] if answers else None
         if answer is not None:
             _check_count(answer, list(files.values()))
         said = None if order is None else order.metres_per_unit
@@ -180,23 +188,19 @@ class ScaleAi(Dataset):
             for number, path in enumerate(files.values())
         ]
 
-    def _beside(self, folder: Path, folders: Sequence[Path], kind: str) -> Path | None:
-        """The answer or the task of a folder of frames: in it, or above it where it can be told whose it is."""
+    def _beside(self, folder: Path, folders: Sequence[Path], kind: str) -> list[Path]:
+        """The answers or the tasks of a folder of frames: in it, or above it where it can be told whose they are."""
         for above in _upwards(folder, self.root):
             paths = [path for path in _jsons(above) if _kind(_head(path)) == kind]
             if kind == "answer" and self.answer:
                 paths = [path for path in paths if path.name == self.answer]
             if sum(other.is_relative_to(above) for other in folders) > 1:
                 paths = [path for path in paths if path.stem == folder.name]
-            if len(paths) > 1:
-                shown = ", ".join(path.name for path in paths[:5])
-                choose = "name the one with --reader answer=NAME" if kind == "answer" else "leave one there"
-                raise DatasetError(f"{above}: expected one {kind} of Scale for {folder}, found {shown}; {choose}")
             if paths:
-                return paths[0]
+                return paths
         if kind == "answer" and self.answer:
             raise DatasetError(f"{folder}: expected the answer {self.answer!r} in it or above it, found none")
-        return None
+        return []
 
     @property
     def assumptions(self) -> tuple[str, ...]:

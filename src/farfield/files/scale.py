@@ -393,12 +393,14 @@ _TURNS = ("yaw", "pitch", "roll")
 
 
 def parse_order(data: bytes, path: Path | str) -> ScaleOrder:
-    """What a task's own JSON, as Scale's API gives it or as it was sent, says of its frames.
+    """What a task's own JSON says of its frames: as it was sent, as Scale's API gives it, or in a callback's ``task``.
 
     Raises:
         FileFormatError: If it is not of this form, or two attachments have one name.
     """
     task = _mapping(parse_json(data, path), path, "the root")
+    if "task" in task:
+        task = _mapping(task["task"], path, "task")
     held = task if "attachments" in task else _mapping(task.get("params"), path, "params")
     attachments = held.get("attachments")
     addresses = attachments if isinstance(attachments, list) else [None]
