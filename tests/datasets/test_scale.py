@@ -52,6 +52,7 @@ def test_frames_stand_round_the_device_and_their_poses_lead_back(tmp_path: Path)
         assert frame.world_T_frame is not None
         back = cloud.points_m.astype(np.float64) @ frame.world_T_frame[:3, :3].T + frame.world_T_frame[:3, 3]
         np.testing.assert_allclose(back, world_m, atol=2e-6)
+        assert cloud.intensity is not None
         np.testing.assert_allclose(cloud.intensity, [point["i"] for point in points], atol=1e-7)
         assert cloud.extra["device"].tolist() == [point["d"] for point in points]
         assert frame.time_ns == SCALE_NS + index * 10**8

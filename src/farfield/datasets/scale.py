@@ -43,7 +43,7 @@ from farfield.frame.record import camera_sensor
 from farfield.geometry.poses import invert, transform_points
 from farfield.vocabulary.counts import count_of
 
-_HEAD_BYTES, _LOOKED_AT, _DEEP = 1 << 16, 20, 2
+_HEAD_BYTES, _LOOKED_AT, _DEEP = 1 << 16, 8, 2
 _IMAGES = (".jpg", ".jpeg", ".png")
 _LONGEST_NS = 60 * 10**9
 _COUNT, _STILL = "numberOfPoints", "stationary"
