@@ -292,6 +292,16 @@ def test_options_are_checked(tmp_path: Path) -> None:
             ScaleAi(tmp_path, **options)  # type: ignore[arg-type]
 
 
+def test_a_damaged_first_frame_leaves_the_others(tmp_path: Path) -> None:
+    write_scale(tmp_path)
+    edit(tmp_path / "0007.json", lambda frame: frame.update(device_heading=7))
+    data = open_dataset(tmp_path)
+    assert len(data.remarks) == 1
+    assert len(data[1].cloud()) == 60
+    with pytest.raises(FileFormatError, match=r"0007\.json"):
+        data[0]
+
+
 def test_json_of_others_is_no_frame(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"points": [[1, 2]], "name": "polygon"}')
     with pytest.raises(DatasetError):

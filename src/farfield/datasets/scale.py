@@ -181,8 +181,8 @@ class ScaleAi(Dataset):
         answer = answers[0] if answers else None
         if answer is not None:
             _check_count(answer, list(files.values()))
-        said = None if order is None else order.metres_per_unit
-        metres_per_unit = float(self.metres_per_unit or said or 1)
+        unit_m = 1.0 if order is None else order.metres_per_unit or 1.0
+        metres_per_unit = float(self.metres_per_unit or unit_m)
         return [
             _Member(path=path, sequence=sequence, answer=answer, number=number, metres_per_unit=metres_per_unit)
             for number, path in enumerate(files.values())
@@ -211,8 +211,12 @@ class ScaleAi(Dataset):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Cameras whose lenses cannot be used, as the first frame tells."""
-        unlike = [f"camera_{camera.number} ({camera.unlike})" for camera in self._frame(0).cameras if camera.unlike]
+        """Cameras whose lenses cannot be used, as the first frame tells; a damaged one tells when it is read."""
+        try:
+            cameras = self._frame(0).cameras
+        except FileFormatError:
+            return ()
+        unlike = [f"camera_{camera.number} ({camera.unlike})" for camera in cameras if camera.unlike]
         which = ", ".join(unlike)
         return (f"scale: pictures are shown without calibration of {which}: no pinhole without skew",) if unlike else ()
 
