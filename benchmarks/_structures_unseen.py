@@ -30,6 +30,7 @@ try:
         nuscenes_trees,
         pandaset,
         ros1,
+        scale_trees,
         waymo,
         zod,
     )
@@ -66,6 +67,7 @@ WRITERS: dict[str, Callable[[Path], Any]] = {
     "pandar64": partial(in_folder, partial(captures.write_hesai, turns=1.3), "drive.pcap"),
     "xt32": partial(in_folder, partial(captures.write_hesai, model="xt32", turns=1.3), "drive.pcap"),
     "ros 1 bags": partial(in_folder, ros1.write_ros1, "drive.bag"),
+    "scale": scale_trees.write_scale,
     "kradar shares": partial(kradar.write_kradar, frames=2),
 }
 

@@ -18,6 +18,7 @@ from tool_trees import (
     write_ann,
     write_labelcloud,
     write_openlabel,
+    write_scale,
     write_segments_ai,
     write_supervisely,
 )
@@ -41,6 +42,7 @@ TREES: dict[str, tuple[str, Callable[[Path], Path]]] = {
     "xtreme1": ("xtreme1", write_scenes),
     "openlabel": ("openlabel", write_openlabel),
     "segments_ai": ("segments_ai", write_segments_ai),
+    "scale": ("scale", write_scale),
 }
 
 
@@ -72,12 +74,12 @@ def test_boxes_classes_and_tracks_are_read(tree: str, tmp_path: Path) -> None:
     assert tracks[0] == tracks[1]
 
 
-@pytest.mark.parametrize("tree", ["labelcloud vertices", "episode", "xtreme1", "openlabel", "segments_ai"])
+@pytest.mark.parametrize("tree", ["labelcloud vertices", "episode", "xtreme1", "openlabel", "segments_ai", "scale"])
 def test_they_fulfil_the_contract(tree: str, tmp_path: Path) -> None:
     check_dataset(open_dataset(TREES[tree][1](tmp_path)))
 
 
-@pytest.mark.parametrize("tree", [tree for tree in TREES if tree != "segments_ai"])
+@pytest.mark.parametrize("tree", [tree for tree in TREES if tree not in ("segments_ai", "scale")])
 def test_one_box_is_edited_in_place(tree: str, tmp_path: Path) -> None:
     data = open_dataset(TREES[tree][1](tmp_path))
     labels = label_format(data)

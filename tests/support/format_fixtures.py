@@ -20,6 +20,7 @@ FIXTURES: dict[str, str] = {
     "xtreme1": "tool_trees:write_xtreme1",
     "openlabel": "tool_trees:write_openlabel",
     "segments_ai": "tool_trees:write_segments_ai",
+    "scale": "datasets.generators.scale_trees:write_scale",
     "openpcdet": "openpcdet_tree:write_openpcdet",
     "bags": "ros1_bytes:write_ros1_bag",
     "kradar": "drive:write_kradar",

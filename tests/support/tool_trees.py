@@ -5,6 +5,7 @@ Supervisely: https://developer.supervisely.com/getting-started/supervisely-annot
 Xtreme1: https://docs.xtreme1.io/xtreme1-docs (data annotation result, upload dataset, coordinate system).
 OpenLABEL: ASAM OpenLABEL 1.0.0, cuboids, frames and streams.
 Segments.ai: https://docs.segments.ai (label formats, sample formats, structure of the release file).
+Scale: https://docs.scale.com/reference/data-types-and-the-frame-objects and lidar-callback-format.
 """
 
 import json
@@ -17,6 +18,7 @@ import numpy as np
 from PIL import Image
 
 from farfield.files.pcd import write_pcd
+from farfield.geometry.poses import quaternion_from_rotation
 
 NAMES = ("0007", "0008")
 CAR, LATER, PERSON = (
@@ -200,4 +202,62 @@ def write_segments_ai(root: Path) -> Path:
     sample = {"name": "drive", "attributes": {"frames": frames}, "labels": {"ground-truth": held}}
     task = {"name": "d", "task_type": "pointcloud-cuboid-sequence", "task_attributes": {"categories": categories}}
     put(root / "v1.json", {"name": "v1", "description": "", "dataset": task | {"samples": [sample]}})
+    return root
+
+
+SCALE_NS = 1541196976735462000
+
+
+def write_scale(root: Path) -> Path:
+    """A task of two frames; the car that took them turns and drives, and points and boxes stand in the world.
+
+    A camera looks ahead from a metre in front of the device; its image lies beside the frames.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    own = np.random.default_rng(1).uniform([11, 2, -1], [14, 4, 0], (60, 3))
+    answer = []
+    for number, (name, rows) in enumerate(TRUTH.items()):
+        turn, place = 0.4 + number, np.array([500.0 + number, 200.0, 1.0])
+        cos, sin = math.cos(turn), math.sin(turn)
+        world_R_device = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1.0]])
+        places = own @ world_R_device.T + place
+        points = [
+            {**xyz(point.tolist()), "i": row / 100, "d": row % 2, "t": SCALE_NS + number * 10**8 + row * 1000}
+            for row, point in enumerate(places)
+        ]
+        ahead = world_R_device @ np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
+        x, y, z, w = quaternion_from_rotation(ahead).tolist()
+        lens = {"camera_model": "brown_conrady", "fx": 20, "fy": 20, "cx": 16, "cy": 9, "skew": 0, "k1": 0.01}
+        image = {
+            "image_url": f"s3://bucket/task/image-front-{name}.png?signature=a/b",
+            "position": xyz((place + world_R_device[:, 0]).tolist()),
+            "heading": {"w": w, "x": x, "y": y, "z": z},
+            "timestamp": SCALE_NS + number * 10**8 + 5,
+        }
+        frame = {
+            "images": [image | lens],
+            "points": points,
+            "device_position": xyz(place.tolist()),
+            "device_heading": {"w": math.cos(turn / 2), "x": 0, "y": 0, "z": math.sin(turn / 2)},
+            "timestamp": SCALE_NS + number * 10**8,
+        }
+        (root / f"{name}.json").write_text(json.dumps(frame))
+        Image.fromarray(np.full((18, 32, 3), number, np.uint8)).save(root / f"image-front-{name}.png")
+        cuboids = []
+        for label, box, track in rows:
+            cuboids.append(
+                {
+                    "uuid": track,
+                    "label": label,
+                    "position": xyz((world_R_device @ box[:3] + place).tolist()),
+                    "dimensions": xyz([box[4], box[3], box[5]]),
+                    "yaw": math.remainder(box[6] + turn - math.pi / 2, 2 * math.pi),
+                    "camera_used": 0,
+                    "numberOfPoints": 60,
+                    "stationary": label == "Pedestrian",
+                    "attributes": {"color": "red"},
+                }
+            )
+        answer.append({"cuboids": cuboids})
+    put(root / "answer.json", answer)
     return root

@@ -93,6 +93,7 @@ _LAST = (  # after all others: a data set's folder may hold a bag, a capture or 
     "labelcloud",
     "openlabel",
     "segments_ai",
+    "scale",
     "folder",
 )
 
