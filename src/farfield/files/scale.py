@@ -401,8 +401,8 @@ def parse_order(data: bytes, path: Path | str) -> ScaleOrder:
     task = _mapping(parse_json(data, path), path, "the root")
     if "task" in task:
         task = _mapping(task["task"], path, "task")
-    held = task if "attachments" in task else _mapping(task.get("params"), path, "params")
-    attachments = held.get("attachments")
+    fields = task if "attachments" in task else _mapping(task.get("params"), path, "params")
+    attachments = fields.get("attachments")
     addresses = attachments if isinstance(attachments, list) else [None]
     names = []
     for number, address in enumerate(addresses):
@@ -414,7 +414,7 @@ def parse_order(data: bytes, path: Path | str) -> ScaleOrder:
     if len(set(names)) < len(names):
         twin = next(name for name in names if names.count(name) > 1)
         raise FileFormatError(path, where="attachments", expected="files of different names", got=f"{twin!r} twice")
-    unit = held.get("meters_per_unit")
+    unit = fields.get("meters_per_unit")
     metres = None if unit is None else finite(unit, limit=1e6)
     if unit is not None and (metres is None or metres <= 0):
         raise FileFormatError(path, where="meters_per_unit", expected="a number above 0", got=repr(unit)[:80])
