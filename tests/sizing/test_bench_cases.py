@@ -175,7 +175,6 @@ def test_every_case_works_on_its_frames_and_reads_what_it_says(tmp_path: Path, m
     """One repeat of each; whoever reads something has its size."""
     pytest.importorskip("torch")
     pytest.importorskip("embreex")
-    monkeypatch.setattr(measuring, "LEAST", 1)
     monkeypatch.setattr(measuring, "_DISK_BYTES", 8_000_000)
     rates = measure_rates(minutes=0.001, device="cpu")
     names = {one.label for one in cases_of((), BenchFrames(tmp_path))}

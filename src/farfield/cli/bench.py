@@ -43,9 +43,9 @@ def run(
       farfield bench --for kradar --only radar-store --disk-mb-s 200
 
     Every verb that works in bulk and every detector whose weights ship (fp32 and bf16) works on frames that are
-    simulated on the spot, by one process with one thread as one of many workers does; median of the repeats, at least
-    three, and how far they spread. What a command does once (imports, pages) is no part of a rate. Let the machine do
-    nothing else meanwhile.
+    simulated on the spot, by one process with one thread as one of many workers does; median of the repeats that fit
+    into the time, and how far they spread. What a command does once (imports, pages) is no part of a rate. Let the
+    machine do nothing else meanwhile.
 
     A WORKLOAD is AMOUNT-frames-DATASET, AMOUNTh-DATASET (hours of driving at the data set's published rate), or DATASET
     for all of it; kradar or cirrus, whose frames also count where none is named. Sizes are published ones, prices are
@@ -55,7 +55,8 @@ def run(
         workload: Plan this, such as 35000-frames-kradar, 40h-cirrus, 1000h or kradar.
         rates: Plan with the rates of this file, of an earlier --json, instead of measuring.
         only: Measure these alone: verbs, detectors, or parts of their names.
-        minutes: How long measuring may take; each is repeated three times at least, however long that takes.
+        minutes: How long measuring may take; each has an equal share of it, and is measured once however long that
+            takes.
         device: Where detectors run, such as cpu or cuda:0; auto, the default, takes a GPU if there is one.
         machines: Machines that share the work.
         cores: Cores of each (default: those of the measured machine).
@@ -141,7 +142,7 @@ def _print_rates(rates: "MachineRates") -> None:
             rate.frames_of,
             rate.precision + (" on GPU" if rate.on == "GPU" else ""),
             _figure(1 / rate.median_s),
-            f"{rate.spread:.0%}",
+            f"{rate.spread:.0%}" if len(rate.seconds) > 1 else "-",
             _figure(bytes_in / 1e6 / rate.median_s) if bytes_in else "-",
             _figure(rate.bytes_out / 1e3) if rate.bytes_out else "-",
             str(len(rate.seconds)),

@@ -21,8 +21,9 @@ from farfield.jobs.process import usable_cores
 from farfield.sizing.cases import BenchCase, BenchFrames, detector_cases, verb_cases
 from farfield.sizing.rates import MachineRates, MeasuredRate
 
-LEAST, MOST = 3, 30
-"""Repeats of a case at least and at most, after one that does not count."""
+MOST = 30
+"""Repeats of a case at most, after one that does not count."""
+_INFLATED_TIMES = 3
 _DISK_BYTES, _BLOCK_BYTES = 256_000_000, 8_000_000
 _INFLATED_BYTES = 16_000_000
 _SIDE_BY_SIDE, _ALONE = 24, 6  # units of the trial of two workers, and of one
@@ -62,7 +63,7 @@ def measure_rates(
     Frames are simulated into a folder for temporary files, which is removed.
 
     Args:
-        minutes: How long it may take; each case is repeated three times at least, however long that takes.
+        minutes: How long it may take; each case has an equal share of it, and counts once however long that takes.
         only: As of :func:`cases_of`.
         device: Where detectors run, such as ``"cpu"`` or ``"cuda:0"`` (default: a GPU if there is one).
         progress: Wraps the cases, to show progress.
@@ -113,7 +114,7 @@ def measure_rates(
 
 
 def measured(case: BenchCase, out: Path, share_s: float) -> MeasuredRate:
-    """Measure a case: once without counting, then three times at least and until its share of the time is over.
+    """Measure a case: once without counting, once that counts, and on until its share of the time is over.
 
     Args:
         case: What to measure.
@@ -121,7 +122,7 @@ def measured(case: BenchCase, out: Path, share_s: float) -> MeasuredRate:
         share_s: How long it may take, seconds.
     """
     began, samples = time.monotonic(), list[tuple[float, float]]()
-    while len(samples) <= LEAST or (len(samples) <= MOST and time.monotonic() - began < share_s):
+    while len(samples) < 2 or (len(samples) <= MOST and time.monotonic() - began < share_s):
         samples.append(case.measure(out))
         shutil.rmtree(out, ignore_errors=True)
     counted = samples[1:]
@@ -215,7 +216,7 @@ def inflating_rate() -> float:
     power = np.random.default_rng(0).exponential(1e12, _INFLATED_BYTES // 8).astype(np.float32).astype(np.float64)
     packed = zlib.compress(power.tobytes(), 1)
     taken = []
-    for _ in range(LEAST):
+    for _ in range(_INFLATED_TIMES):
         began = time.perf_counter()
         zlib.decompress(packed)
         taken.append(time.perf_counter() - began)
