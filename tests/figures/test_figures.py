@@ -72,7 +72,7 @@ def test_other_classes_are_grey() -> None:
 def test_show_frame_counts_what_was_found_and_opens_no_window_here() -> None:
     frame = Frame.of(CLOUD, CAR)
     figure = show_frame(frame, CAR.replace(score=np.array([0.5])))
-    assert "1 of 1 annotated object found" in figure.axes[0].get_title(loc="left")
+    assert "1 of 1 annotated object within 2 m of a box" in figure.axes[0].get_title(loc="left")
     assert show_frame(Frame.of(CLOUD)).axes
     assert birdseye(frame, window_m="fit").axes[0].get_xlim() == (10.0, 300.0)
 

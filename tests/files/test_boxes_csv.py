@@ -74,6 +74,8 @@ def test_annotations_are_written_with_an_empty_score(tmp_path: Path) -> None:
         ("", "line 1.*an empty file"),
         (ROW, "line 1"),
         (HEADER.replace(",h,", ",") + "\n", "Missing: h"),
+        (HEADER.replace("yaw_rad", "heading") + "\n", "Missing: yaw_rad. Perhaps rename 'heading' to 'yaw_rad'."),
+        (HEADER.replace("label", "class") + "\n", "Missing: label. Perhaps rename 'class' to 'label'."),
         (HEADER + ",colour\n", "colour"),
         (HEADER + ",score\n", "score"),
         (f"{HEADER}\n{ROW},1", "line 2.*11 columns.*12"),

@@ -50,8 +50,7 @@ def run(
             expectation fails; weights (.pt, .pth, .ckpt, .safetensors), to see whose they are and what import-weights
             would do with them; or a bundle, which is read back.
         reading: How the files are read.
-        format: Format, if it is not to be recognised: cirrus, kitti, view_of_delft, kitti_tracking, argoverse2, kradar,
-            radiate or folder.
+        format: Format, if it is not to be recognised: a name that farfield formats lists, such as kitti or folder.
         frames: Number of frames whose clouds are read, spread evenly; 0 reads all.
         calibration: Number of frames with which to check cameras and K-Radar's radar: whether the given calibration
             fits, and whether a sensor moved during the first drive; 0 does not. Cameras need about 24, a radar 80.

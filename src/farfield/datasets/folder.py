@@ -302,9 +302,12 @@ class Folder(Dataset):
     def _check_table(self) -> None:
         """Each frame's annotation stands once, and a table is of these clouds."""
         if self._table and not set(self._table) & set(self.frame_ids):
+            first = next(iter(self._table))
+            with_suffix = {path.name for path in self.clouds} & set(self._table)
+            fix = "Leave out the files' suffix." if with_suffix else "Name them as the clouds' files, without suffix."
             raise DatasetError(
                 f"{self.table_path}: expected boxes of the clouds beside it, such as frame {self.frame_ids[0]!r}; its "
-                f"frames are others, such as {next(iter(self._table))!r}. Name them as the clouds' files. "
+                f"frames are others, such as {first!r}. {fix} "
                 f"{zeros_note(self._table, self.frame_ids)}".rstrip()
             )
         cloud_stems, stems = {path.stem for path in self.clouds}, [self._stems(folder) for folder in _BOX_FOLDERS]

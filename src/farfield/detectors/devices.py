@@ -152,7 +152,7 @@ def chosen_precision(network: Any = None, flags: Mapping[str, bool] | None = Non
         flags: As :func:`flags_of_cpu` gives them (default: this processor's).
 
     >>> chosen_precision(flags={"avx512": True, "avx512_bf16": True})
-    ('bf16', 'the processor multiplies bfloat16 (AVX-512 BF16)')
+    ('bf16', 'this processor has bfloat16 instructions (AVX-512 BF16)')
     >>> chosen_precision(flags={})
     ('fp32', 'the processor has no bfloat16')
     """
@@ -160,7 +160,7 @@ def chosen_precision(network: Any = None, flags: Mapping[str, bool] | None = Non
     usable = torch.backends.mkldnn.is_available()
     native = [name for flag, name in _NATIVE.items() if flags.get(flag)]
     if native and usable:
-        return "bf16", f"the processor multiplies bfloat16 ({native[0]})"
+        return "bf16", f"this processor has bfloat16 instructions ({native[0]})"
     if not flags.get("avx512") or not usable:
         return "fp32", "the processor has no bfloat16"
     work: Work = getattr(network, "work", "dense")

@@ -326,7 +326,7 @@ def birdseye(
         annotated = frame.boxes[of_classes(frame.boxes, labels)]
         annotated = annotated[in_window(annotated.centre_m, window)]
         num_found = int((found_by(predictions, annotated) >= 0).sum())
-        title += f": {num_found} of {count_of(len(annotated), 'annotated object')} found within 2 m"
+        title += f": {num_found} of {count_of(len(annotated), 'annotated object')} within 2 m of a box of any class"
     title += f"; {left_out}" if left_out else ""
     point = returns_word(kind_of(frame, cloud))
     return overview(

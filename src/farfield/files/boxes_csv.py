@@ -251,7 +251,27 @@ def _fix(header: list[str], missing: list[str]) -> str:
         for letter, word in ((";", "semicolons"), ("\t", "tabs"), (" ", "blanks")):
             if letter in header[0]:
                 return f"Its columns are separated by {word}: separate them by commas, with points in numbers."
-    return f"Missing: {', '.join(missing)}." if missing else ""
+    renamed = [f"rename {name!r} to {needed!r}" for needed in missing for name in header if _means(name, needed)]
+    advice = f" Perhaps {', '.join(renamed)}." if renamed else ""
+    return f"Missing: {', '.join(missing)}.{advice}" if missing else ""
+
+
+_ALIKE = {
+    "frame": ("frame_id", "file", "filename", "stem", "sample"),
+    "label": ("class", "class_name", "name", "category", "type"),
+    "x": ("x_m", "cx", "center_x", "centre_x", "tx"),
+    "y": ("y_m", "cy", "center_y", "centre_y", "ty"),
+    "z": ("z_m", "cz", "center_z", "centre_z", "tz"),
+    "l": ("length", "length_m", "dx"),
+    "w": ("width", "width_m", "dy"),
+    "h": ("height", "height_m", "dz"),
+    "yaw_rad": ("yaw", "heading", "rotation", "rotation_z", "rot_z", "theta", "rz"),
+}
+"""What others call the columns."""
+
+
+def _means(name: str, needed: str) -> bool:
+    return name.strip().lower() in _ALIKE.get(needed, ())
 
 
 def _number(path: Path | str, line: int, name: str, text: str) -> float:

@@ -322,9 +322,10 @@ def _doubt(path: Path | str, counts: list[int]) -> FileFormatError:
     return FileFormatError(
         path,
         where="the columns",
-        expected="numbers that show how many a point has",
-        got=f"what may be {' or '.join(str(count) for count in sorted(counts))} a point",
-        fix="Say how many with --columns, in Python bin_columns=; or the file is truncated, or no table of float32.",
+        expected="numbers that tell how many columns there are",
+        got=f"a file that may have {' or '.join(str(count) for count in sorted(counts))} columns",
+        fix="Say how many with --columns, in Python bin_columns=; or the file is truncated, or holds another type than "
+        "float32, such as float64.",
     )
 
 

@@ -241,8 +241,8 @@ def _headings(pairs: PairedRows, turned_rad: float) -> Iterator[str]:
     few = 10 / np.sqrt(len(gap_rad))  # the fewer the pairs, the clearer they have to be
     if abs(middle_rad) > max(_LEAST_TURN_RAD, spread_rad * max(1.0, few)) and not same_turn:
         yield (
-            f"predicted headings are turned by {np.rad2deg(middle_rad):+.1f} degrees against the annotated ones "
-            f"(median of {count_of(np.count_nonzero(long), 'pair')})"
+            f"median heading error of the predicted boxes: {np.rad2deg(middle_rad):+.1f} degrees "
+            f"({count_of(np.count_nonzero(long), 'pair')})"
         )
 
 

@@ -83,9 +83,9 @@ class TransferReport:
         changed = {**self.adapted, **self.by_class}
         tensors = len(self.taken) + len(changed) + len(self.fresh)
         yield (
-            f"starts from {self.weights}: {100 * self.share:.1f} % of the parameters; of {tensors} tensors "
-            f"{len(self.taken)} taken whole, {len(self.adapted)} adapted, {len(self.by_class)} by class, "
-            f"{len(self.fresh)} fresh, {len(self.unused)} of theirs unused"
+            f"starts from {self.weights}: {100 * self.share:.1f} % of the parameters; {len(self.taken)} of {tensors} "
+            f"tensors loaded, {len(self.adapted)} adapted to other shapes, {len(self.by_class)} loaded by class, "
+            f"{len(self.fresh)} initialised; {len(self.unused)} of the file not used"
         )
         groups = [f"{word}: {', '.join(names)}" for word, names in self.classes.items() if names]
         yield from [f"  classes {'; '.join(groups)}"] if groups else []

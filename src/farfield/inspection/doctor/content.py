@@ -67,7 +67,9 @@ def check_clouds(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:
         if strength is not None and not strength.any():
             mapped = isinstance(survey.dataset.unwrapped, Cirrus)
             fix = "A detector trained with intensity will not work here" + (
-                ": name the right column in the mapping." if mapped else "; see whether another column holds it."
+                ": name the right column in the mapping."
+                if mapped
+                else "; files of three columns have none, in others see whether another column holds it."
             )
             yield Finding(severity="warn", topic=f"cloud {name}", what="intensity is 0 everywhere", fix=fix)
         yield from _doubtful_columns(name, loaded)

@@ -10,7 +10,7 @@ from jaxtyping import Int64
 
 from farfield.datasets.cirrus import Cirrus
 from farfield.datasets.downloads import archive_sentences
-from farfield.datasets.folder import Folder
+from farfield.datasets.folder import TABLE_NAME, Folder
 from farfield.datasets.unread import unread_files
 from farfield.files.boxes_csv import zeros_note
 from farfield.frame.drive import BREAK_PERIODS
@@ -105,11 +105,26 @@ def _labels(survey: Survey) -> Finding:
     what = f"{len(survey.boxes)} of {count_of(count, 'frame')} annotated, {count_of(boxes, 'box', 'boxes')}"
     if boxes == 0:
         fix = "Training and scoring need boxes; prediction does not. Check the folder's name and the stems."
+        fix += _unread_tables(survey)
         return Finding(severity="fail", topic="labels", what=what, fix=fix)
     if survey.unlabelled:
         fix = "Frames without annotation are left out of training and scoring."
         return Finding(severity="warn", topic="labels", what=what, fix=fix)
     return Finding(severity="ok", topic="labels", what=what)
+
+
+def _unread_tables(survey: Survey) -> str:
+    """Which files beside the clouds may hold the boxes, in a form that is not read."""
+    reader = survey.dataset.unwrapped
+    if not isinstance(reader, Folder):
+        return ""
+    tables = [path for path in reader.root.iterdir() if path.suffix.lower() in (".csv", ".json")]
+    names = sorted(path.name for path in tables if path.name != TABLE_NAME and path.stem not in reader.frame_ids)
+    if not names:
+        return ""
+    more = f" and {count_of(len(names) - 1, 'more file', 'more files')}" if len(names) > 1 else ""
+    verb = "are" if len(names) > 1 else "is"
+    return f" {names[0]}{more} {verb} not read: boxes go into {TABLE_NAME}, or a JSON file a frame (docs/own-data.md)."
 
 
 def _stray_labels(survey: Survey) -> Iterator[Finding]:

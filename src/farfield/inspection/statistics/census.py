@@ -106,7 +106,7 @@ class Census:
             return {}
         sequence = self.sequence[self.frame].tolist()
         keys = set(zip(self.name.tolist(), sequence, self.track.tolist(), strict=True))
-        return dict(Counter(name for name, _, _ in keys).most_common())
+        return dict(Counter(name for name, _, track in keys if track >= 0).most_common())
 
     @property
     def known(self) -> tuple[str, ...]:
