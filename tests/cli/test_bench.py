@@ -70,7 +70,7 @@ def test_what_is_measured_is_printed_and_written(
     assert status == 0
     assert read_rates(tmp_path / "rates.json") == rates
     line = next(line for line in text.splitlines() if line.startswith("convert --to radar-store"))
-    assert line.split()[3:] == ["kradar", "4", "0%", "1,040", "329", "1"]
+    assert line.split()[3:] == ["kradar", "4", "-", "1,040", "329", "1"]
     assert "two workers side by side do 1.60 times what one does" in text
     assert "left out: anonymize (cirrus): needs cv2" in text
     assert "34,994 frames of K-Radar" in text
