@@ -14,7 +14,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.whole]
 STEPS = 24
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
