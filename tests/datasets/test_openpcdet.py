@@ -80,7 +80,7 @@ def test_columns_are_shown_by_the_numbers_or_told(tmp_path: Path) -> None:
     few = write_openpcdet(tmp_path / "few", suffix=".bin")
     for path in (few / "points").iterdir():
         path.write_bytes(path.read_bytes()[: 16 * 20])
-    with pytest.raises(FileFormatError, match=r"how many (columns|a point).*--columns"):
+    with pytest.raises(FileFormatError, match=r"how many a point has.*--columns"):
         open_dataset(few)
     assert len(open_dataset(few, bin_columns=4)[0].cloud()) == 20
     assert len(open_dataset(few, bin_columns=5)[0].cloud()) == 16

@@ -77,7 +77,7 @@ WRONG = {
     "left": (_shift(0, -2.5, 0), r"moved by [-+]0\.\d m in x and \+2\.5 m in y"),
     "z": (_shift(0, 0, 1.7), r"\+1\.[67]\d m in z"),
     "turned": (_each(lambda b: b.transform(pose_from_yaw(np.deg2rad(3)))), r"turned by -3\.0 degrees about"),
-    "headings": (_each(lambda b: b.replace(yaw_rad=b.yaw_rad - np.deg2rad(3))), r"heading error .*-3\.\d deg"),
+    "headings": (_each(lambda b: b.replace(yaw_rad=b.yaw_rad - np.deg2rad(3))), r"median heading error of the predicted boxes: -3\.\d deg"),
     "rear": (
         _each(
             lambda b: b.replace(
@@ -151,7 +151,7 @@ BROTHERS = {
     "one for all": (_frames_in(lambda number: 0), "9 of 10 frames have the predicted boxes of another frame"),
     "45 degrees": (
         _each(lambda b: b.replace(yaw_rad=b.yaw_rad + np.pi / 4)),
-        r"heading error .*\+4[45]\.\d deg",
+        r"median heading error of the predicted boxes: \+4[45]\.\d deg",
     ),
     "degrees": (_each(lambda b: b.replace(yaw_rad=np.rad2deg(b.yaw_rad))), "headings bear no relation"),
     "one heading": (_each(lambda b: b.replace(yaw_rad=0 * b.yaw_rad)), "have one heading"),
