@@ -77,7 +77,10 @@ WRONG = {
     "left": (_shift(0, -2.5, 0), r"moved by [-+]0\.\d m in x and \+2\.5 m in y"),
     "z": (_shift(0, 0, 1.7), r"\+1\.[67]\d m in z"),
     "turned": (_each(lambda b: b.transform(pose_from_yaw(np.deg2rad(3)))), r"turned by -3\.0 degrees about"),
-    "headings": (_each(lambda b: b.replace(yaw_rad=b.yaw_rad - np.deg2rad(3))), r"median heading error of the predicted boxes: -3\.\d deg"),
+    "headings": (
+        _each(lambda b: b.replace(yaw_rad=b.yaw_rad - np.deg2rad(3))),
+        r"error of the predicted boxes: -3\.\d deg",
+    ),
     "rear": (
         _each(
             lambda b: b.replace(
