@@ -7,7 +7,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
-from farfield.errors import ConfigError, FarfieldError
+from farfield.errors import ConfigError, FarfieldError, did_you_mean
 
 T = TypeVar("T")
 Registered = TypeVar("Registered")
@@ -116,7 +116,9 @@ class Registry(Generic[T]):
         points = [point for point in self._points() if point.name == name]
         if not points:
             names = ", ".join(self.names())
-            raise ConfigError(f"Expected a {self.what}, one of {names}; got {name!r}.")
+            raise ConfigError(
+                f"Expected a {self.what}, one of {names}; got {name!r}.{did_you_mean(name, self.names())}"
+            )
         if len(points) > 1:
             packages = " and ".join(sorted(_package(point) for point in points))
             raise PluginError(f"{self.what} {name!r}: registered by {packages}; uninstall one of them.")

@@ -41,7 +41,7 @@ def test_verbs_stand_in_groups() -> None:
         (["evalute"], 2, "farfield evaluate"),
         (["detect", "cars"], 2, "farfield predict"),
         (["how", "to", "count", "frames"], 2, "farfield stats"),
-        (["formats", "--jsn", "-"], 2, "no flag --jsn; did you mean --json?"),
+        (["formats", "--jsn", "-"], 2, "no flag --jsn. Did you mean --json?"),
         (["formats", "a", "b"], 2, "expected nothing more, got b"),
         (["import-weights"], 2, "expected CHECKPOINT, OUT too"),
         (["compare-results", "a.json", "--digits"], 2, "--digits"),

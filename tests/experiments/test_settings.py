@@ -74,9 +74,9 @@ def test_shipped_weights_load_under_today_s_names(name):
     ("override", "words"),
     [
         ("detector.widht=3", ("detector.widht", "widths", "score_threshold", "grid")),
-        ("detector.grid.cel_m=1", ("detector.grid.cel_m", "did you mean cell_m", "range_m")),
-        ("training.step=1", ("training.step", "did you mean steps", "learning_rate", "start_from")),
-        ("data.pth=1", ("data.pth", "did you mean path", "clouds", "sweeps")),
+        ("detector.grid.cel_m=1", ("detector.grid.cel_m", "Did you mean cell_m", "range_m")),
+        ("training.step=1", ("training.step", "Did you mean steps", "learning_rate", "start_from")),
+        ("data.pth=1", ("data.pth", "Did you mean path", "clouds", "sweeps")),
         ("foo=1", ("foo", "augmentation", "detector", "training", "extends")),
         ("augmentation.weather={probabilty: 1}", ("augmentation.weather.probabilty", "probability", "kinds")),
         ("detector.anchors={car: {size: 3}}", ("detector.anchors.car.size", "size_m", "z_m")),

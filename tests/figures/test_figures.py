@@ -62,6 +62,20 @@ def test_pictures_leave_empty_range_out() -> None:
     assert [name for name, _ in filled_zooms(CLOUD, CAR)] == ["near: 0 to 70 m"]
 
 
+def test_a_frame_is_cropped_to_sensor_points_and_boxes() -> None:
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-35, -15, 0], [55, 25, 1], (5000, 3))
+    points[0] = [240, 200, 0]  # a lone return
+    frame = Frame.of(Cloud(points), CAR.replace(centre_m=np.array([[75.0, 0.0, 0.0]])))
+    axes = birdseye(frame).axes[0]
+    assert (*axes.get_xlim(), *axes.get_ylim()) == (-40, 80, -20, 30)
+    ahead = birdseye(Frame.of(Cloud(points + [100, 0, 0]))).axes[0]
+    assert ahead.get_xlim() == (0, 160), "the sensor is shown"
+    tall = birdseye(Frame.of(Cloud(points[:, [1, 0, 2]])))
+    assert tall.get_figheight() < 10
+    assert birdseye(Frame.of(Cloud(np.zeros((0, 3))))).axes[0].get_xlim() == (0, 250)
+
+
 def test_other_classes_are_grey() -> None:
     both = Boxes.concatenate([CAR, CAR.replace(label="pedestrian")])
     axes = overview(CLOUD, annotated=both, labels=("vehicle",)).axes[0]

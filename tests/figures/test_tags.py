@@ -28,7 +28,7 @@ CAMERA = Camera(
 
 
 def tags(figure) -> set[str]:
-    return {text.get_text() for text in figure.axes[0].texts} - {"70 m", "150 m", "250 m"}
+    return {text.get_text() for text in figure.axes[0].texts} - {f"{ring} m" for ring in (20, 40, 60, 70, 80, 150, 250)}
 
 
 def test_predicted_boxes_bear_class_and_score_from_above() -> None:
@@ -36,6 +36,30 @@ def test_predicted_boxes_bear_class_and_score_from_above() -> None:
     both = overview(CLOUD, annotated=FOUND.plain(), predicted=FOUND)
     assert tags(both) == {"vehicle 0.87", "pedestrian 0.12"}, "no word twice in one place"
     assert tags(overview(CLOUD, annotated=FOUND.plain())) == {"vehicle", "pedestrian"}
+
+
+def test_no_tag_covers_another() -> None:
+    """Forty boxes on one spot: as many tags as have room, the surest among them; far apart all have theirs."""
+    crowd = ff.Boxes(
+        centre_m=np.column_stack([np.linspace(30, 32, 40), np.zeros(40), np.zeros(40)]),
+        size_m=np.tile([4.0, 2.0, 1.5], (40, 1)),
+        yaw_rad=np.zeros(40),
+        label=np.array(["vehicle"] * 40),
+        score=np.linspace(0.3, 0.99, 40),
+    )
+    figure = overview(CLOUD, predicted=crowd)
+    figure.draw_without_rendering()
+    texts = [text for text in figure.axes[0].texts if text.get_text().startswith("vehicle")]
+    assert "vehicle 0.99" in tags(figure)
+    assert 1 < len(texts) < 20
+    boxes = [text.get_window_extent() for text in texts]
+    assert not [(a, b) for i, a in enumerate(boxes) for b in boxes[:i] if a.overlaps(b)]
+    apart = crowd.replace(
+        centre_m=np.column_stack(
+            [np.tile(np.linspace(10, 200, 8), 5), np.repeat(np.linspace(-40, 40, 5), 8), np.zeros(40)]
+        )
+    )
+    assert len(tags(overview(CLOUD, predicted=apart))) == 40
 
 
 def test_boxes_outside_the_window_have_no_tag() -> None:

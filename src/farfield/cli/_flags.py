@@ -21,8 +21,8 @@ _UNNAMED = tyro.conf.arg(name="")
 """The fields of a group are flags without the group's name before them."""
 PointTimes = Literal["auto", "s", "ms", "us", "ns", "none"]  # as in farfield.files.point_times, which waits
 _UNSET = (None, (), "", "auto")
-_OPTION_OF = {"columns": "bin_columns", "tables": "version"}
-_OF_CLOUDS = ("bin_columns", "intensity_scale", "point_times", "radars")
+_OPTION_OF = {"tables": "version"}
+_OF_CLOUDS = ("bin_columns", "column_names", "intensity_scale", "point_times", "radars")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,8 @@ class FileFlags:
     Args:
         mapping: Mapping YAML of the classes of data in any format, classes: {Auto: vehicle}; or of a Cirrus copy that
             deviates from the documented layout.
-        columns: Columns per point in .bin files (default: detected).
+        columns: Columns per point in .bin files, or their names there and in .npy and .xyz files, such as
+            x,y,z,intensity,time (default: detected).
         intensity_scale: Value of full reflectance in all clouds (default: detected: 1, 255 or 65535).
         point_times: Unit of the points' times; auto decides by the sweeps' period, none leaves the column as it is.
         radars: Topics of a bag's clouds that come from radars, or none (default: detected from names and columns).
@@ -52,7 +53,7 @@ class FileFlags:
     """
 
     mapping: Path | None = None
-    columns: int | None = None
+    columns: str | None = None
     intensity_scale: float | None = None
     point_times: PointTimes = "auto"
     radars: tuple[str, ...] = ()
@@ -73,8 +74,11 @@ class FileFlags:
         own = {
             _OPTION_OF.get(name, name): value
             for name, value in vars(self).items()
-            if value not in _UNSET and name != "reader"
+            if value not in _UNSET and name not in ("columns", "reader")
         }
+        if self.columns:
+            is_count = self.columns.isdecimal()
+            own |= {"bin_columns": int(self.columns)} if is_count else {"column_names": self.columns.split(",")}
         if not self.reader:
             return own
         from farfield.datasets.reader_options import parsed_options

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
 from farfield.cli._help import positional_name
+from farfield.errors import did_you_mean
 
 _OTHER_WORDS = {
     "benchmark": "evaluate", "check": "doctor", "detect": "predict", "draw": "show", "eval": "evaluate",
@@ -50,8 +51,8 @@ def no_verb(words: Sequence[str], verbs: Mapping[str, str]) -> str:
 
 def no_flag(verb: str, word: str, flags: Iterable[str]) -> str:
     """The sentence on a flag that a verb does not have."""
-    close = get_close_matches(word.partition("=")[0].replace("_", "-"), list(flags), n=1)
-    return f"no flag {word}" + (f"; did you mean {close[0]}?" if close else ".") + f" farfield {verb} --help-all"
+    meant = did_you_mean(word.partition("=")[0].replace("_", "-"), flags)
+    return f"no flag {word}.{meant} farfield {verb} --help-all"
 
 
 def refused_words(verb: str, printed: str, flags: Mapping[str, Sequence[str]], required: Sequence[object]) -> str:
@@ -89,10 +90,8 @@ def refused_words(verb: str, printed: str, flags: Mapping[str, Sequence[str]], r
     choice = re.match(r"invalid choice '(.*)' for argument '(.*)'\. Expected one of \((.*)\)", text)
     if choice:
         choices = re.findall(r"'([^']*)'", choice.group(3))
-        close = get_close_matches(choice.group(1), choices, n=1)
-        meant = f"; did you mean {close[0]}?" if close else ""
         if "None" in choices:  # one that may be left out: the parser's words are a set, in any order
             choices = sorted(word for word in choices if word != "None")
-        listed = ", ".join(filter(None, choices))
-        return f"{choice.group(2)}: expected one of {listed}, got {choice.group(1)!r}{meant}"
+        listed, meant = ", ".join(filter(None, choices)), did_you_mean(choice.group(1), choices)
+        return f"{choice.group(2)}: expected one of {listed}, got {choice.group(1)!r}.{meant}"
     return text or f"what follows was not understood. farfield {verb} --help"

@@ -31,8 +31,8 @@ def run(
     reading: Reading = AS_THEY_ARE,
     mapping_a: Path | None = None,
     mapping_b: Path | None = None,
-    columns_a: int | None = None,
-    columns_b: int | None = None,
+    columns_a: str | None = None,
+    columns_b: str | None = None,
     intensity_scale_a: float | None = None,
     intensity_scale_b: float | None = None,
     point_times_a: PointTimes = "auto",
@@ -69,7 +69,7 @@ def run(
         reading: How the files of all are read; what one reader does not know counts for the others.
         mapping_a: Mapping YAML of a alone, of its classes or its layout.
         mapping_b: The same of b.
-        columns_a: Columns per point in .bin files of a (default: detected).
+        columns_a: Columns per point in .bin files of a, or their names (default: detected).
         columns_b: The same of b.
         intensity_scale_a: Value of full reflectance in all clouds of a (default: detected: 1, 255 or 65535).
         intensity_scale_b: The same of b.

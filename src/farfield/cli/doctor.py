@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from farfield.inspection.doctor.survey import Severity
 
 _WEIGHTS = (".pt", ".pth", ".ckpt", ".safetensors")
-_COLOURS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
+_COLOURS = {"ok": "green", "open": "dim", "warn": "yellow", "fail": "bold red"}
 
 
 def run(

@@ -121,10 +121,10 @@ def run(
     check_outputs(sources, files={"--json": json}, folders={"--out": out})
     if where:
         Where(where)  # says what is wrong with it before anything is read
+    loaded = load_detector(detector, precision=precision, device=device, **boxes.options)
     opened = reading.open(data, rotate_deg=rotate_deg)
     opened = opened.split(split) if split else opened
     print_doubts(opened)
-    loaded = load_detector(detector, precision=precision, device=device, **boxes.options)
     print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     protocol = protocol or opened.protocol
     settings = scoring.settings(PROTOCOLS[protocol])

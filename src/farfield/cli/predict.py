@@ -107,11 +107,11 @@ def run(
         files={"--out": None if as_folder else out, "--picture": picture},
         folders={"--out": out if as_folder else None},
     )
+    loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **boxes.options)
     frames = _frames(files, rotate_deg, reading)
     if out is not None:
         check_apart(out, frames)
     print_doubts(frames, cloud)
-    loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **boxes.options)
     print(f"{loaded.precision} on {loaded.device}: {loaded.why_precision}", file=sys.stderr)
     journal = None if out is None else out.parent / f".{out.name}.unfinished.jsonl"
     bulk = jobs.options("detecting", workers=int(loaded.device.type != "cpu"))
@@ -201,7 +201,7 @@ def _frames(files: tuple[Path, ...], rotate_deg: float, reading: ReadingFlags) -
     from farfield.datasets.memory import CloudFiles
     from farfield.errors import DatasetError
 
-    if len(files) == 1 and files[0].is_dir():
+    if len(files) == 1 and not files[0].is_file():
         return reading.open(files[0], rotate_deg=rotate_deg)
     missing = [str(path) for path in files if not path.is_file()]
     if missing or not files:

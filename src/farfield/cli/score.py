@@ -101,6 +101,7 @@ def run(
     """
     from farfield.evaluation import read_detections, with_conditions
     from farfield.metrics import PROTOCOLS
+    from farfield.metrics.result import tables_of
 
     check_outputs((predictions, labels, conditions, *reading.paths), files={"--json": json})
     chosen = PROTOCOLS[protocol]
@@ -132,7 +133,7 @@ def run(
         write_json(json, tree)
     if json != OUTPUT:
         print("".join(f"note: {note}\n" for note in notes), end="")
-        print("\n\n".join(map(str, results)) + (f"\n\nwritten: {json}" if json is not None else ""))
+        print(tables_of(results) + (f"\n\nwritten: {json}" if json is not None else ""))
     fault = ""
     if not detections.paired:
         fault = "no frame has both predicted and annotated boxes"

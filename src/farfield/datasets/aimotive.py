@@ -24,7 +24,7 @@ from farfield.files.las import read_las
 from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.geometry.poses import invert, transform_points, yaw_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_AIMOTIVE, normalised_class
 

@@ -22,7 +22,7 @@ from farfield.files.limits import MAX_NAME
 from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, yaw_from_quaternion
 from farfield.vocabulary.classes import CIRRUS_FROM_ARGOVERSE2, normalised_class
 

@@ -20,7 +20,7 @@ from farfield.files.limits import MAX_RINGS
 from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.vocabulary.classes import CIRRUS_FROM_ASTYX, normalised_class
 
 RADAR, LIDAR, CAMERA = "radar_6455", "lidar_vlp16", "camera_front"

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,6 +20,9 @@ from farfield.files.atomic import read_bytes
 from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Drive, Frame, Key
 from farfield.vocabulary.counts import count_of
+
+if TYPE_CHECKING:
+    from farfield.datasets.cloud_reading import CloudReading
 
 Indices = Int[np.ndarray, " _"]
 Poses = Float[np.ndarray, "_ 4 4"]
@@ -107,6 +110,7 @@ class Dataset(ABC):
         references: Sensors in whose coordinates the frames can be seen, the reader's own first; empty where there is no
             choice.
         view_options: Further options of ``open_dataset`` that the format offers, which become maps.
+        reading: How all clouds are read alike, where the reader decides that by some of them.
         stored: Whether the frames come from files, so that a fingerprint identifies them and a recipe can be replayed
             on them; False for frames that are in memory.
     """
@@ -120,6 +124,7 @@ class Dataset(ABC):
     options: Mapping[str, Any] = MappingProxyType({})
     references: tuple[str, ...] = ()
     view_options: tuple[str, ...] = ()
+    reading: "CloudReading | None" = None
     stored: bool = True
 
     @abstractmethod

@@ -17,16 +17,8 @@ from farfield.files.las import las_middle, read_las
 from farfield.files.map_coordinates import MAP_SUFFIXES, NEAREST_M, Origin, less_origin, origin_of
 from farfield.files.point_times import UNITS_NS, PointTimeColumn, PointTimes, check_point_times, point_time_column
 from farfield.frame import Cloud
-from farfield.frame.cloud import (
-    CloudSettings,
-    Columns,
-    columns_shown,
-    named_columns,
-    points_of,
-    read_cloud,
-    read_columns,
-    returned,
-)
+from farfield.frame.cloud import CloudSettings, columns_shown, read_cloud, read_columns
+from farfield.frame.cloud_columns import Columns, RowNames, checked_names, named_columns, points_of, returned
 
 _LOOKED_AT = 8
 _UNREADABLE = (FileFormatError, DatasetError, ConfigError, MissingExtraError, OSError)  # not so a lack of memory
@@ -46,6 +38,8 @@ class CloudReading:
     Args:
         paths: All files, in the order of time.
         bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
+        column_names: Names of the columns of all files that name none (``.bin``, ``.npy``, ``.xyz``); empty names them
+            by what they hold.
         intensity_scale: Value that stands for full reflectance; None decides.
         point_times: Unit of the points' times.
         stamps_ns: Time of each file since 1970; None where they are not known.
@@ -54,7 +48,7 @@ class CloudReading:
         posed: Whether the frames take the poses of :meth:`world_T_frame`.
 
     Raises:
-        ConfigError: If the scale is not positive, or the unit is none.
+        ConfigError: If the scale is not positive, the unit is none, or the names cannot be those of columns.
     """
 
     def __init__(
@@ -62,6 +56,7 @@ class CloudReading:
         paths: Sequence[Path],
         *,
         bin_columns: int | None = None,
+        column_names: Sequence[str] = (),
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
         stamps_ns: Sequence[int | None] = (),
@@ -72,9 +67,11 @@ class CloudReading:
         if intensity_scale is not None and not 0 < intensity_scale < np.inf:
             raise ConfigError(f"intensity_scale: expected a positive number, got {intensity_scale!r}")
         check_point_times(point_times)
-        self.bin_columns = bin_columns or columns_shown(paths[:_LOOKED_AT]) or usual_columns
+        self.column_names = checked_names(column_names) if column_names else ()
+        self.bin_columns = bin_columns or len(self.column_names) or columns_shown(paths[:_LOOKED_AT]) or usual_columns
         is_usual = usual_scale is not None and self.bin_columns == usual_columns
         self.intensity_scale = usual_scale if intensity_scale is None and is_usual else intensity_scale
+        self.scale_source = "given" if intensity_scale else "the format's" if is_usual else "decided from the data"
         self.point_times, self.posed = point_times, posed
         self.maps = tuple(path for path in paths if path.suffix.lower() in MAP_SUFFIXES)
         rows = np.unique(np.linspace(0, max(len(paths) - 1, 0), _LOOKED_AT).astype(int)).tolist()
@@ -181,7 +178,9 @@ class CloudReading:
                 samples[path] = less_origin(cloud.columns, origin_m if is_near else own_m)
         rows = [rows for rows in samples.values() if isinstance(rows, np.ndarray)]
         counts = {part.shape[1] for part in rows}
-        row_names = {count: names_of(np.concatenate([p for p in rows if p.shape[1] == count])) for count in counts}
+        row_names: RowNames = self.column_names or {
+            count: names_of(np.concatenate([p for p in rows if p.shape[1] == count])) for count in counts
+        }
         strengths, units = [], []
         for path, columns in samples.items():
             with suppress(FarfieldError):

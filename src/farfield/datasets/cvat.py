@@ -92,6 +92,7 @@ class Cvat(Dataset):
     """
 
     name = "cvat"
+    reading: CloudReading
 
     def __init__(
         self,

@@ -27,7 +27,8 @@ from farfield.files.limits import MAX_RINGS
 from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import existing, pattern_in_any_case
 from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import points_of, read_radar_rows
+from farfield.frame.cloud import read_radar_rows
+from farfield.frame.cloud_columns import points_of
 from farfield.geometry.boxes import points_in_boxes
 from farfield.geometry.poses import invert, pose_from_yaw, transform_points, unrigid
 from farfield.vocabulary.classes import CIRRUS_FROM_KITTI, normalised_class

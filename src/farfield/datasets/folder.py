@@ -253,6 +253,7 @@ class Folder(Dataset):
         root: The folder.
         mapping: A file that renames classes; None takes ``mapping.yaml`` in the folder, if it is there.
         bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
+        column_names: Names of the columns of all files that name none, such as ``("x", "y", "z", "time")``.
         intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
         point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
             leave the column as it is; ``auto`` decides by the sweeps' period.
@@ -265,6 +266,7 @@ class Folder(Dataset):
     """
 
     name = "folder"
+    reading: CloudReading
 
     def __init__(
         self,
@@ -272,6 +274,7 @@ class Folder(Dataset):
         *,
         mapping: Path | str | None = None,
         bin_columns: int | None = None,
+        column_names: Sequence[str] = (),
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
@@ -290,6 +293,7 @@ class Folder(Dataset):
         self.reading = CloudReading(
             self.clouds,
             bin_columns=bin_columns,
+            column_names=column_names,
             intensity_scale=intensity_scale,
             point_times=point_times,
             stamps_ns=[name_time_ns(stem) for stem in self.frame_ids],

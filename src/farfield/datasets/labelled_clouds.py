@@ -57,6 +57,7 @@ class LabelledClouds(Dataset):
         DatasetError: If nothing of this layout is there, or two clouds of a sequence have one name.
     """
 
+    reading: CloudReading
     looked_at: str
     """What was looked for, in an error."""
     parser: Parser

@@ -73,6 +73,7 @@ class CloudFiles(Dataset):
     Args:
         paths: The files; a file's name is its frame's. Where two have one name, their folders are their sequences.
         bin_columns: Columns of ``.bin`` files; None takes what the largest of the first ones shows.
+        column_names: Names of the columns of all files that name none, such as ``("x", "y", "z", "time")``.
         intensity_scale: Value that stands for full reflectance in all clouds; None decides by some of them.
         point_times: Unit of the points' times, where the files have any: ``s``, ``ms``, ``us``, ``ns``, or ``none`` to
             leave the column as it is; ``auto`` decides by the sweeps' period.
@@ -82,6 +83,7 @@ class CloudFiles(Dataset):
     """
 
     name = "files"
+    reading: CloudReading
     root = Path()
     stored = False
 
@@ -90,12 +92,18 @@ class CloudFiles(Dataset):
         paths: Sequence[Path],
         *,
         bin_columns: int | None = None,
+        column_names: Sequence[str] = (),
         intensity_scale: float | int | None = None,
         point_times: PointTimes = "auto",
     ) -> None:
         self.paths = tuple(paths)
         self.reading = CloudReading(
-            self.paths, bin_columns=bin_columns, intensity_scale=intensity_scale, point_times=point_times, posed=True
+            self.paths,
+            bin_columns=bin_columns,
+            column_names=column_names,
+            intensity_scale=intensity_scale,
+            point_times=point_times,
+            posed=True,
         )
         alone = len({path.stem for path in self.paths}) == len(self.paths)
         self.sequences = tuple("files" if alone else readable(path.resolve().parent.name) for path in self.paths)

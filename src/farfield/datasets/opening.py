@@ -17,14 +17,16 @@ from farfield.datasets.reader_options import typed_options
 from farfield.datasets.recipes import maps_of_options, plain
 from farfield.datasets.recognition import recognise
 from farfield.datasets.unread import advice_on, unread_files
-from farfield.errors import ConfigError, DatasetError
+from farfield.errors import ConfigError, DatasetError, did_you_mean
 from farfield.files.atomic import readable
 from farfield.files.remote_paths import RemotePath, as_path, list_anew
 from farfield.files.remote_stores import UNFINISHED
+from farfield.vocabulary.counts import count_of
 
 _EVERYWHERE = ("poses", "rotate_deg")  # options of every format
 _CLOUD_FLAGS = {
     "bin_columns": " (--columns): its files say their columns themselves",
+    "column_names": " (--columns NAMES): its format names its columns",
     "intensity_scale": " (--intensity-scale): its format says the full scale",
     "point_times": " (--point-times): its format says what its points' times are",
 }
@@ -47,8 +49,7 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
             ``mapping.yaml`` in the root, where it is such a file), or describes a Cirrus layout.
 
     Raises:
-        DatasetError: If the folder does not exist or nothing in it is recognised; the message lists what was looked
-            for.
+        DatasetError: If the folder does not exist or nothing in it is recognised.
         ConfigError: If the format or an option is unknown.
 
     >>> open_dataset("Cirrus_dataset1")[0].boxes  # doctest: +SKIP
@@ -60,7 +61,7 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     if isinstance(root, RemotePath):
         _check_remote(root)
     if not root.is_dir():
-        raise DatasetError(f"{path}: expected a data set's folder, found {_no_folder(root)}.")
+        raise DatasetError(f"{path}: expected a data set's folder, found {_no_folder(root)}")
     recognised = format or recognise(root)
     classes, options = _class_mapping(root, recognised, options)
     if format is None:
@@ -68,11 +69,13 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
         if options.get("mapping") is not None and format != "folder":  # another layout: what it is like stands there
             format = "cirrus"
     if format is None:
-        looked = "".join(f"\n  {name}: {what}" for name, what in looked_for().items())
         held = sorted(entry.name for entry in root.iterdir())
         shown = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "") or "nothing"
         hints = _unread(root) + _archived(root) + _inside(root)
-        raise DatasetError(f"{root}: recognised no data set. It holds: {shown}. {hints}Looked for:{looked}")
+        raise DatasetError(
+            f"{root}: recognised no data set. It holds: {shown}. {hints}{count_of(len(looked_for()), 'format')} were "
+            "looked for: farfield formats lists them, and farfield formats NAME what one is recognised by."
+        )
     reader = find_format(format).load()
     own = _checked_options(format, reader, options)
     options = typed_options(reader, options)
@@ -130,18 +133,19 @@ def _class_mapping(
 
 
 def _no_folder(root: Path) -> str:
-    """What stands where a folder should, and what to do."""
+    """What stands where a folder should, and what to do; the end of a sentence."""
     if root.is_symlink() and not root.exists():
-        return f"a link to {root.readlink()}, which is not there or leads in a circle"
+        return f"a link to {root.readlink()}, which is not there or leads in a circle."
     if not root.exists():
-        return "nothing"
+        near = [entry.name for entry in root.parent.iterdir()] if root.parent.is_dir() else []
+        return f"nothing.{did_you_mean(root.name, [*near, open_sweeps.NAME])}"
     from farfield.files.bags import FILE_SUFFIXES
     from farfield.frame.cloud import CLOUD_SUFFIXES
 
     if root.suffix.lower() in (*FILE_SUFFIXES, *CLOUD_SUFFIXES):
-        return f"one file. Name the folder that holds it: {root.parent}"
+        return f"one file. Name the folder that holds it: {root.parent}."
     advice = advice_on(root)
-    return f"a file ({advice})" if advice else "a file"
+    return f"a file ({advice})." if advice else "a file."
 
 
 def _unread(root: Path) -> str:
@@ -163,11 +167,26 @@ def _archived(root: Path) -> str:
 
 
 def _inside(root: Path) -> str:
-    """A sentence on data sets one folder deeper."""
+    """A sentence on data sets one folder deeper, and on labels that stand outside them."""
     folders = sorted(entry for entry in root.iterdir() if entry.is_dir())[:50]
     format_of_folder = {entry.name: name for entry in folders if (name := recognise(entry)) is not None}
     shown = ", ".join(f"{entry} ({name})" for entry, name in list(format_of_folder.items())[:3])
-    return f"One folder deeper there is {shown}: open that. " if format_of_folder else ""
+    if not format_of_folder:
+        return ""
+    is_own = "folder" in format_of_folder.values()
+    outside = [
+        entry.name
+        for entry in sorted(root.iterdir())
+        if is_own and entry.name not in format_of_folder and _holds_labels(entry)
+    ]
+    move = f", with {', '.join(outside)} moved into it, since labels beside the folder are not read" if outside else ""
+    return f"One folder deeper there is {shown}: open that{move}. "
+
+
+def _holds_labels(path: Path) -> bool:
+    """Whether a name is one of labels: of a table, or of a folder of files."""
+    is_table = path.suffix.lower() in {".csv", ".json"} and path.is_file()
+    return is_table or any(word in path.name.lower() for word in ("label", "annotation", "boxes"))
 
 
 def _checked_options(format: str, reader: Any, options: Mapping[str, Any]) -> set[str]:

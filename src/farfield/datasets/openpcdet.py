@@ -69,6 +69,7 @@ class OpenPcdet(Dataset):
     """
 
     name = "openpcdet"
+    reading: CloudReading
 
     def __init__(
         self,

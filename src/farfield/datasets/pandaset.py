@@ -24,7 +24,7 @@ from farfield.files.pandaset import Placement, read_gps, read_intrinsics, read_p
 from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import existing
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.geometry.poses import invert, pose, rotation_from_quaternion, transform_points
 from farfield.vocabulary.classes import CIRRUS_FROM_PANDASET, normalised_class
 

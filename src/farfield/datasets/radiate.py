@@ -24,7 +24,7 @@ from farfield.files.remote_paths import as_path
 from farfield.files.suffixes import any_case, existing
 from farfield.files.xyz import read_xyz
 from farfield.frame import Annotation, Boxes, Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.geometry.poses import pose
 from farfield.radar.turning import CARTESIAN_SHAPE, CELL_M, CENTRE_PX, POLAR_SHAPE, TURN_S, strongest_cells
 from farfield.vocabulary.classes import normalised_class

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Int
 
-from farfield.errors import ConfigError, DatasetError, plain
+from farfield.errors import ConfigError, DatasetError, did_you_mean, plain
 from farfield.files.atomic import read_bytes
 from farfield.files.json_text import plain_json
 from farfield.files.stand_ins import check_itself
@@ -70,7 +70,9 @@ def split_indices(data: Splittable, name: str, *, by: str = "sequence") -> list[
     units = data.split_units()
     parts = data.split_parts() or assign_splits(units, root=data.root)
     if name not in parts:
-        raise ConfigError(f"{data.root}: expected a split, one of {', '.join(parts)}; got {name!r}")
+        raise ConfigError(
+            f"{data.root}: expected a split, one of {', '.join(parts)}; got {name!r}.{did_you_mean(name, parts)}"
+        )
     chosen = set(parts[name])
     return [index for index, unit in enumerate(units) if unit in chosen]
 

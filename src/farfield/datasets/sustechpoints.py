@@ -58,6 +58,7 @@ class SustechPoints(Dataset):
     """
 
     name = "sustechpoints"
+    reading: CloudReading
 
     def __init__(
         self,

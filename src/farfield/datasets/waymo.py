@@ -39,7 +39,7 @@ from farfield.files.waymo import (
     texts_of,
 )
 from farfield.frame import Annotation, Boxes, Camera, Cloud, Frame, Key, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.geometry.cameras import CAMERA_T_LIDAR_AXES
 from farfield.geometry.poses import invert, unrigid
 from farfield.vocabulary.classes import normalised_class

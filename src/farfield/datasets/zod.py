@@ -34,7 +34,7 @@ from farfield.files.zod import (
     time_of_name,
 )
 from farfield.frame import Annotation, Boxes, Cloud, Constant, Frame, Key, Lazy, Sensor
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.geometry.deskewing import PoseTrack
 from farfield.geometry.poses import invert, yaw_from_quaternion
 from farfield.vocabulary.classes import normalised_class

@@ -19,7 +19,7 @@ from farfield.detectors.network import Network, build_detector
 from farfield.detectors.provenance import Provenance, provenance_of
 from farfield.detectors.soundness import unlike, unsound
 from farfield.detectors.spec import DETECTORS
-from farfield.errors import FarfieldError, FileFormatError, plain
+from farfield.errors import FarfieldError, FileFormatError, did_you_mean, plain
 from farfield.files.atomic import read_bytes, write_bytes
 from farfield.files.json_text import plain_json
 from farfield.files.limits import MAX_WEIGHTS_BYTES
@@ -155,5 +155,5 @@ def resolve_weights(name: str | Path) -> Path:
         return path
     raise FarfieldError(
         f"Expected a bundled detector ({', '.join(bundled) or 'none in this build'}), a run's folder with "
-        f"weights.safetensors, or a weights file; got {str(name)!r}."
+        f"weights.safetensors, or a weights file; got {str(name)!r}.{did_you_mean(str(name), bundled)}"
     )

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from farfield.errors.wording import EXTRAS, advice, fault_of, plain, torch_note
+from farfield.errors.wording import EXTRAS, advice, did_you_mean, fault_of, plain, torch_note
 
 __all__ = [
     "EXTRAS",
@@ -16,6 +16,7 @@ __all__ = [
     "FileFormatError",
     "MissingCloudError",
     "MissingExtraError",
+    "did_you_mean",
     "fault_of",
     "plain",
 ]

@@ -1,7 +1,8 @@
 """Errors of Python, json, yaml and pydantic in plain words."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -236,3 +237,19 @@ def _requirements(extra: str) -> list[str]:
         for requirement, _, marker in marked
         if marker.replace("'", '"').strip() == f'extra == "{extra}"'
     ]
+
+
+def did_you_mean(name: str, names: Iterable[str], *, most: int = 1) -> str:
+    """A sentence with the names nearest to one that is none of them; empty where none is near.
+
+    Args:
+        name: What was written.
+        names: What there is.
+        most: How many are named.
+
+    >>> did_you_mean("nuscene", ["dds", "nuscenes"]), did_you_mean("kitti", ["dds"])
+    (' Did you mean nuscenes?', '')
+    """
+    by_plain = {other.lower(): other for other in names}
+    close = get_close_matches(name.lower(), by_plain, n=most)
+    return f" Did you mean {' or '.join(by_plain[plain] for plain in close)}?" if close else ""

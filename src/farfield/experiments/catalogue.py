@@ -1,12 +1,11 @@
 """The experiments that ship with the package, and how they are called."""
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, did_you_mean
 from farfield.files.yaml_text import plain_yaml
 
 FOLDER = Path(__file__).resolve().parent
@@ -61,11 +60,12 @@ def find(name_or_path: str | Path) -> Path:
     entries |= {_plain(entry.path.name): entry for entry in entries.values()}
     if len(path.parts) == 1 and _plain(path.name) in entries:
         return entries[_plain(path.name)].path
-    close = dict.fromkeys(entries[key].name for key in get_close_matches(_plain(path.name), entries, n=4))
-    hint = f"Did you mean {' or '.join(close)}? " if close else ""
+    names = [entry.name for entry in shipped()]
+    if path.parent.is_dir():
+        names += [str(beside) for ending in ("yaml", "yml") for beside in path.parent.glob(f"*.{ending}")]
     raise ConfigError(
-        f"{name_or_path}: expected an experiment's YAML file or the name of a shipped experiment, found nothing. {hint}"
-        "farfield experiments lists those that ship."
+        f"{name_or_path}: expected an experiment's YAML file or the name of a shipped experiment, found nothing."
+        f"{did_you_mean(str(path), names, most=4)} farfield experiments lists those that ship."
     )
 
 

@@ -1,7 +1,6 @@
 """One experiment is one YAML file: data, detector, augmentation, training. Unknown keys are errors."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
@@ -24,7 +23,7 @@ from pydantic import (
 
 from farfield.detectors import DETECTORS
 from farfield.detectors.config import DetectorConfig, current_key, renamed
-from farfield.errors import ConfigError, FarfieldError, fault_of, plain
+from farfield.errors import ConfigError, FarfieldError, did_you_mean, fault_of, plain
 from farfield.experiments.catalogue import find
 from farfield.files.atomic import read_bytes
 from farfield.files.remote_paths import as_path
@@ -288,9 +287,7 @@ def is_group(kind: Any, path: Sequence[str | int]) -> bool:
 
 def hint(key: str, keys: Sequence[str]) -> str:
     """What an unknown key's error says of those that there are."""
-    close = get_close_matches(key, keys, n=1)
-    meant = f" did you mean {close[0]}?" if close else ""
-    return f"there is no such key;{meant} the keys here are {', '.join(keys)}"
+    return f"there is no such key; the keys here are {', '.join(keys)}.{did_you_mean(key, keys)}"
 
 
 def merged(base: Tree, over: Tree, kind: Any, path: tuple[str, ...] = ()) -> Tree:

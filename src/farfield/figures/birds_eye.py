@@ -24,8 +24,10 @@ __all__ = ["birdseye", "draw_birdseye", "figure_bytes", "overview", "show_frame"
 
 Window = tuple[float, float, float, float]
 _POINT_DPI = 110  # pixels an inch of the points
+_TALLEST_IN = 8.0
 WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
 RANGES_M = (70.0, 150.0, 250.0)
+_NEAR_RINGS_M = (20.0, 40.0, 60.0, 80.0)
 STREET_M: Window = (-45.0, 45.0, -30.0, 22.0)
 SHORT_WINDOW_M: Window = (0.0, 120.0, -30.0, 30.0)
 ZOOMS_M: tuple[tuple[str, Window], ...] = (
@@ -70,9 +72,9 @@ def draw_birdseye(
         draw_boxes(axes, annotated[counts], ANNOTATED, line_width=1.9 * line_width, order=4)
     if predicted is not None:
         draw_boxes(axes, predicted, PREDICTED, line_width=line_width, order=5)
-        draw_tags(axes, predicted[in_window(predicted.centre_m, window_m)], PREDICTED)
+        draw_tags(axes, predicted[in_window(predicted.centre_m, window_m)], PREDICTED, window_m)
     elif annotated is not None:
-        draw_tags(axes, annotated[in_window(annotated.centre_m, window_m)], ANNOTATED)
+        draw_tags(axes, annotated[in_window(annotated.centre_m, window_m)], ANNOTATED, window_m)
     if x_from <= 0 <= x_to and y_from <= 0 <= y_to:
         axes.plot([0], [0], marker=">", color=INK, markersize=6, zorder=6, clip_on=False)
     axes.set(xlim=(x_from, x_to), ylim=(y_from, y_to), aspect="equal")
@@ -220,8 +222,9 @@ def overview(
     """The whole window in one picture; arguments as in :func:`draw_birdseye`, ``point`` is what a dot is."""
     with house_style():
         x_from, x_to, y_from, y_to = window_m
-        above_in = 0.35 if title else 0.1
-        figure = new_figure(11.0, 0.85 + above_in + 10.2 * (y_to - y_from) / (x_to - x_from), fixed=True)
+        above_in, slope = 0.35 if title else 0.1, (y_to - y_from) / (x_to - x_from)
+        wide_in = min(10.2, _TALLEST_IN / slope)
+        figure = new_figure(wide_in + 0.8, 0.85 + above_in + wide_in * slope, fixed=True)
         _leave_room(figure, above_in=above_in)
         axes = figure.add_subplot()
         draw_birdseye(
@@ -305,7 +308,7 @@ def birdseye(
     *,
     cloud: str | None = None,
     labels: Collection[str] | None = None,
-    window_m: Window | Literal["fit"] = WINDOW_M,
+    window_m: Window | Literal["crop", "fit"] = "crop",
     shown_score: float = SHOWN_SCORE,
 ) -> "Figure":
     """Draw a frame from above with its annotated boxes and a detector's predictions.
@@ -315,12 +318,16 @@ def birdseye(
         predictions: Predicted boxes.
         cloud: Which cloud; None takes the first.
         labels: Classes that the detector was asked for; others are drawn in grey.
-        window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
+        window_m: x from, x to, y from, y to; ``"fit"`` shows all points, ``"crop"`` the sensor, the boxes and all
+            points but the outermost.
         shown_score: Predicted boxes of a lower score are left out, which the title says.
     """
     predictions, left_out = shown_predictions(predictions, shown_score)
     points = frame.cloud(cloud)
-    window = fit_window(points.points_m) if window_m == "fit" else window_m
+    if window_m == "crop":
+        window = cropped_window(points, frame.boxes, predictions)
+    else:
+        window = fit_window(points.points_m) if window_m == "fit" else window_m
     title = f"{frame.sequence}, {frame.frame_id}" + (f", {cloud} pattern" if cloud else "")
     if predictions is not None and frame.boxes is not None:
         annotated = frame.boxes[of_classes(frame.boxes, labels)]
@@ -330,7 +337,14 @@ def birdseye(
     title += f"; {left_out}" if left_out else ""
     point = returns_word(kind_of(frame, cloud))
     return overview(
-        points, annotated=frame.boxes, predicted=predictions, labels=labels, window_m=window, point=point, title=title
+        points,
+        annotated=frame.boxes,
+        predicted=predictions,
+        labels=labels,
+        window_m=window,
+        rings_m=RANGES_M if max(map(abs, window)) > RANGES_M[0] + 30 else _NEAR_RINGS_M,
+        point=point,
+        title=title,
     )
 
 
@@ -376,6 +390,20 @@ def fit_window(points_m: Float[np.ndarray, "n 3"]) -> Window:
     return float(low[0]), float(max(high[0], low[0] + 10)), float(low[1]), float(max(high[1], low[1] + 10))
 
 
+def cropped_window(cloud: Cloud, *boxes: Boxes | None) -> Window:
+    """The window of the sensor, the boxes and all points but a few of the outermost, in whole tens of metres."""
+    corners_m = [part.bev_corners_m().reshape(-1, 2) for part in boxes if part is not None and len(part)]
+    edges_m = [np.percentile(cloud.points_m[:, :2], share, axis=0) for share in _CROPPED] if len(cloud) else []
+    if not corners_m and not edges_m:
+        return WINDOW_M
+    shown_m = np.concatenate([np.zeros((1, 2)), *corners_m, *(edge[None] for edge in edges_m)])
+    shown_m = shown_m[np.isfinite(shown_m).all(axis=1)].clip(-WINDOW_M[1], WINDOW_M[1])
+    return fit_window(np.column_stack([shown_m, np.zeros(len(shown_m))]))
+
+
+_CROPPED = (0.5, 99.5)  # per cent of a cloud's points, along each axis
+
+
 def in_window(points_m: Float[np.ndarray, "n 3"], window_m: Window) -> Bool[np.ndarray, " n"]:
     """Which points lie in a window, seen from above, shape (n,)."""
     x, y = points_m[:, 0], points_m[:, 1]
@@ -387,7 +415,7 @@ def show_frame(
     predictions: Boxes | None = None,
     *,
     cloud: str | None = None,
-    window_m: Window | Literal["fit"] = WINDOW_M,
+    window_m: Window | Literal["crop", "fit"] = "crop",
     shown_score: float = SHOWN_SCORE,
 ) -> "Figure":
     """Draw a frame from above and, where matplotlib has a window or a notebook, show it.
@@ -396,7 +424,7 @@ def show_frame(
         frame: The frame.
         predictions: Predicted boxes.
         cloud: Which cloud; None takes the first.
-        window_m: x from, x to, y from, y to; ``"fit"`` shows all points.
+        window_m: As in :func:`birdseye`.
         shown_score: Predicted boxes of a lower score are left out, which the title says.
 
     Returns:
@@ -414,6 +442,7 @@ def show_frame(
 # Words beside the boxes of a picture: class and score.
 
 _MOST_TAGS = 80  # in one picture
+_TAG_PT, _LETTER = 6.5, 0.58  # size of a tag's letters in points, and a letter's mean width as a share of it
 
 
 def tags_of(boxes: Boxes) -> list[str]:
@@ -423,20 +452,66 @@ def tags_of(boxes: Boxes) -> list[str]:
     return [f"{label} {score:.2f}" for label, score in zip(boxes.label, boxes.score, strict=True)]
 
 
-def draw_tags(axes: "Axes", boxes: Boxes, colour: str) -> None:
-    """Class and score beside each box seen from above; of very many beside the surest, or else the nearest."""
+def draw_tags(axes: "Axes", boxes: Boxes, colour: str, window_m: Window) -> None:
+    """Class and score beside boxes seen from above, the surest or else the nearest first, where none covers another.
+
+    A tag stands at one of its box's four corners; where each would cover another tag, the box has none.
+    """
     order = np.argsort(boxes.range_m if boxes.score is None else -boxes.score, kind="stable")[:_MOST_TAGS]
     corners = boxes.bev_corners_m()
+    tags = Tags(axes, window_m)
     for row, tag in zip(order, tags_of(boxes[order]), strict=True):
-        right, top = corners[row].max(axis=0)
-        axes.annotate(
-            tag,
-            (right, top),
-            xytext=(1.5, 0.5),
-            textcoords="offset points",
-            fontsize=6.5,
-            color=colour,
-            annotation_clip=True,
-            clip_on=True,
-            zorder=6,
-        )
+        (left, bottom), (right, top) = corners[row].min(axis=0), corners[row].max(axis=0)
+        wide, high = tags.size(tag)
+        tags.draw(tag, ((right, top), (right, bottom - high), (left - wide, top), (left - wide, bottom - high)), colour)
+
+
+class Tags:
+    """Words in a picture of which none covers another.
+
+    Args:
+        axes: Where they are drawn.
+        window: What the axes show, in the axes' units: x from, x to, y lowest, y highest.
+        halo: Colour around the letters.
+    """
+
+    def __init__(self, axes: "Axes", window: Window, halo: str = "white") -> None:
+        self.axes, self.window, self.halo = axes, window, halo
+        width_in = axes.get_figure(root=True).get_figwidth() * axes.get_position().width  # type: ignore[union-attr]
+        self.point = (window[1] - window[0]) / max(72 * width_in, 1.0)
+        self.taken: list[Window] = []
+
+    def size(self, tag: str) -> tuple[float, float]:
+        """About how wide and high a tag is, in the axes' units."""
+        return (_LETTER * len(tag) + 0.3) * _TAG_PT * self.point, 1.15 * _TAG_PT * self.point
+
+    def draw(self, tag: str, corners: Sequence[tuple[float, float]], colour: str) -> None:
+        """Draw a tag where it covers no other, or nowhere.
+
+        Args:
+            tag: The words.
+            corners: Where its corner of least x and y may be, the best first.
+            colour: The words' colour.
+        """
+        from matplotlib.patheffects import withStroke
+
+        wide, high = self.size(tag)
+        x_from, x_to, y_from, y_to = self.window
+        for x, y in corners:
+            inside = x_from <= x and x + wide <= x_to and y_from <= y and y + high <= y_to
+            covers = any(x < b and x + wide > a and y < d and y + high > c for a, b, c, d in self.taken)
+            if inside and not covers:
+                self.taken.append((x, x + wide, y, y + high))
+                self.axes.text(
+                    x + wide / 2,
+                    y + high / 2,
+                    tag,
+                    fontsize=_TAG_PT,
+                    color=colour,
+                    ha="center",
+                    va="center",
+                    clip_on=True,
+                    zorder=6,
+                    path_effects=[withStroke(linewidth=1.6, foreground=self.halo, alpha=0.8)],
+                )
+                return

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from PIL import Image, ImageDraw
 
-from farfield.figures.birds_eye import tags_of
-from farfield.figures.style import POINT, house_style, new_figure
+from farfield.figures.birds_eye import Tags, tags_of
+from farfield.figures.style import INK, POINT, house_style, new_figure
 from farfield.frame.image_marks import ImageMarks
 from farfield.geometry.boxes import Boxes
 from farfield.geometry.cameras import Camera
@@ -78,7 +78,10 @@ def camera_picture(
             for boxes, line_width in ((annotated, 2.0), (predicted, 1.2)):
                 if boxes is not None:
                     style = "dashed" if boxes is predicted and annotated is not None else "solid"
-                    _draw_boxes(axes, boxes, camera, line_width, style, tagged=boxes is predicted or predicted is None)
+                    _draw_boxes(axes, boxes, camera, line_width, style)
+            tagged = annotated if predicted is None else predicted
+            if tagged is not None:
+                _draw_tags(Tags(axes, (0.0, float(width), 0.0, float(height)), INK), tagged, camera)
         if marks is not None:
             _draw_marks(axes, marks)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
@@ -95,7 +98,7 @@ def _draw_points(axes: "Axes", points_m: Float[np.ndarray, "n 3"], camera: Camer
     axes.scatter(shown[:, 0], shown[:, 1], c=range_m, s=1.2, cmap="viridis_r", linewidths=0, zorder=1)
 
 
-def _draw_boxes(axes: "Axes", boxes: Boxes, camera: Camera, line_width: float, style: str, *, tagged: bool) -> None:
+def _draw_boxes(axes: "Axes", boxes: Boxes, camera: Camera, line_width: float, style: str) -> None:
     from matplotlib.collections import LineCollection
 
     labels = np.asarray(boxes.label)
@@ -103,8 +106,6 @@ def _draw_boxes(axes: "Axes", boxes: Boxes, camera: Camera, line_width: float, s
         of_class, colour = boxes[labels == name], CLASS_COLOURS.get(name, POINT)
         lines = LineCollection(box_lines(of_class, camera), colors=colour, linewidths=line_width, linestyles=style)
         axes.add_collection(lines)
-        if tagged:
-            _draw_tags(axes, of_class, camera, colour)
 
 
 def _draw_marks(axes: "Axes", marks: ImageMarks) -> None:
@@ -117,15 +118,22 @@ def _draw_marks(axes: "Axes", marks: ImageMarks) -> None:
         axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor=colour, linewidth=1.2, linestyle="dotted"))
 
 
-def _draw_tags(axes: "Axes", boxes: Boxes, camera: Camera, colour: str) -> None:
-    """Class and score above each box that is seen."""
+def _draw_tags(tags: Tags, boxes: Boxes, camera: Camera) -> None:
+    """Class and score above or below each box that is seen, the surest or nearest first, where none covers another."""
     if not len(boxes):
         return
+    boxes = boxes[np.argsort(boxes.range_m if boxes.score is None else -boxes.score, kind="stable")]
     pixels, _, visible = camera.project(boxes.corners_m().reshape(-1, 3))
-    for corners, inside, tag in zip(pixels.reshape(-1, 8, 2), visible.reshape(-1, 8), tags_of(boxes), strict=True):
+    labels = np.asarray(boxes.label).tolist()
+    for label, corners, inside, tag in zip(
+        labels, pixels.reshape(-1, 8, 2), visible.reshape(-1, 8), tags_of(boxes), strict=True
+    ):
         if inside.any():
-            left, top = corners[inside].min(axis=0)
-            axes.text(left, top - 2, tag, color=colour, fontsize=6.5, va="bottom", clip_on=True)
+            (left, top), (right, bottom) = corners[inside].min(axis=0), corners[inside].max(axis=0)
+            wide, high = tags.size(tag)
+            tags.draw(
+                tag, ((left, top - high), (right - wide, top - high), (left, bottom)), CLASS_COLOURS.get(label, POINT)
+            )
 
 
 # A picture with the LiDAR's points and the boxes in it, as Cirrus' Figure 5 has them.

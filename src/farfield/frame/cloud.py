@@ -5,7 +5,6 @@ is read in its place where it was made of the very bytes: in a fraction of the t
 formats are imported on first use.
 """
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,11 +18,11 @@ from jaxtyping import Bool, Float, Float32, Int, Num, Shaped
 
 from farfield.errors import ConfigError, DatasetError, FileFormatError
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
-from farfield.files.limits import check_numbers
-from farfield.files.map_coordinates import MAP_SUFFIXES, NEAREST_M, Origin, beyond_any_sensor, read_map_cloud
+from farfield.files.map_coordinates import MAP_SUFFIXES, Origin, beyond_any_sensor, read_map_cloud
 from farfield.files.marks import mark_of
 from farfield.files.npy import read_npy
 from farfield.files.point_times import OFFSET_COLUMN, PointTimeColumn, PointTimes, point_time_column
+from farfield.frame.cloud_columns import Columns, RowNames, named_columns, points_of, returned
 from farfield.geometry.arrays import Locked
 from farfield.geometry.boxes import Boxes, points_in_boxes
 from farfield.geometry.poses import check_rigid, transform_points
@@ -37,7 +36,6 @@ CLOUD_SUFFIXES = (".pcd", ".bin", ".npy", ".npz", ".xyz", ".ply", ".las", ".laz"
 
 _GPS_TIME = "gps_time"
 _MOST_COLUMNS, _MOST_OFFSET_S = 16, 2.0
-_FARTHEST_M = 1e7  # coordinates of maps (UTM, ECEF) end before
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +305,8 @@ class CloudSettings:
             :func:`intensity_scale_of`.
         point_times: Unit of the points' times, see :data:`~farfield.files.point_times.PointTimes`.
         usual_unit: Unit that other clouds of the data set show.
-        row_names: Names of the columns of files without any, by how many they are; None decides by the file.
+        row_names: Names of the columns of files without any, by how many they are, or those of all; None decides by
+            the file.
         stamp_ns: The sweep's time since 1970; None where it is not known.
         period_ns: From one sweep to the next; None where it is not known.
         origin_m: What is subtracted, in float64, from the coordinates of the formats of :data:`MAP_SUFFIXES`; None
@@ -317,7 +316,7 @@ class CloudSettings:
     intensity_scale: float | int | None = None
     point_times: PointTimes = "auto"
     usual_unit: str | None = None
-    row_names: Mapping[int, tuple[str, ...]] | None = None
+    row_names: RowNames = None
     stamp_ns: int | None = None
     period_ns: float | int | None = None
     origin_m: Origin | None = None
@@ -345,9 +344,6 @@ def read_cloud(path: Path, settings: CloudSettings = _OWN_SETTINGS, *, bin_colum
     """
     read = read_columns(path, bin_columns=bin_columns, origin_m=settings.origin_m)
     return _from_columns(path, named_columns(path, read, settings.row_names), settings)
-
-
-Columns = Mapping[str, Shaped[np.ndarray, "..."]]
 
 
 def read_columns(
@@ -403,68 +399,6 @@ def read_columns(
 def native(values: Shaped[np.ndarray, "..."]) -> Shaped[np.ndarray, "..."]:
     """Numbers in this machine's order of bytes, one after another in memory."""
     return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
-
-
-INTENSITY_NAMES = ("intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "signal")
-"""Names of the column that becomes the intensity, in lower case; the first that a cloud has is taken."""
-
-
-def named_columns(
-    path: Path | str,
-    columns: Columns | Shaped[np.ndarray, "n c"],
-    row_names: Mapping[int, tuple[str, ...]] | None = None,
-) -> dict[str, Shaped[np.ndarray, " n"]]:
-    """Columns of a cloud under our names: ``X`` is x, ``reflectivity`` is the intensity, ``rgb`` of three rgb_0 to 2.
-
-    Args:
-        path: The file, for messages.
-        columns: By the file's names, each of shape (n,), or (n, count) where a point has several numbers; or rows.
-        row_names: Names of the columns of rows, by how many they are; None decides by the rows.
-
-    Raises:
-        FileFormatError: If a place or the intensity holds several numbers for each point.
-    """
-    from farfield.files.clouds import names_of
-
-    if isinstance(columns, np.ndarray):
-        names = (row_names or {}).get(columns.shape[1]) or names_of(points_of(path, columns))
-        return dict(zip(names, columns.T, strict=True))
-    lower = {name.lower(): name for name in reversed(list(columns))} | {
-        name: name for name in columns if name.islower()
-    }
-    ours = {lower[axis]: axis for axis in "xyz" if axis in lower}
-    strength = next((lower[name] for name in INTENSITY_NAMES if name in lower), None)
-    if strength is not None:
-        ours[strength] = "intensity"
-    check_numbers(path, "the fields", sum(math.prod(values.shape[1:]) for values in columns.values()))
-    split: dict[str, np.ndarray] = {}
-    for name, values in columns.items():
-        own_name = ours.get(name, name)
-        if values.ndim == 1:
-            split[own_name] = values
-        elif own_name in ("x", "y", "z", "intensity"):
-            raise FileFormatError(
-                path,
-                where=f"field {name}",
-                expected="one number a point (COUNT 1)",
-                got=f"{values.shape[1:]} numbers",
-                fix="Write one of them as the field; the others as fields of their own.",
-            )
-        else:
-            rows = values.reshape(len(values), math.prod(values.shape[1:]))
-            parts = {f"{name}_{element}": np.ascontiguousarray(column) for element, column in enumerate(rows.T)}
-            double = next((part for part in parts if part in columns), None)
-            if double is not None:
-                actual = f"field {double} and {rows.shape[1]} numbers of {name}"
-                raise FileFormatError(path, where=f"field {name}", expected="names that differ", got=actual)
-            split |= parts
-    return split
-
-
-def points_of(path: Path | str, rows: Shaped[np.ndarray, "n c"]) -> Shaped[np.ndarray, "m c"]:
-    """The rows that are points: see :func:`returned`."""
-    valid = returned(path, rows[:, :3])
-    return rows if valid.all() else rows[valid]
 
 
 def read_radar_rows(path: Path, columns: int) -> tuple[Float32[np.ndarray, "n columns"], int]:
@@ -548,34 +482,6 @@ def _from_columns(path: Path, columns: Mapping[str, np.ndarray], settings: Cloud
     scale = intensity_scale_of([strength]) if settings.intensity_scale is None else settings.intensity_scale
     extra = {name: value for name, value in columns.items() if name not in ("x", "y", "z", "intensity")}
     return Cloud(points, scaled_intensity(path, strength, scale), with_offsets(path, extra, settings))
-
-
-def returned(path: Path | str, points_m: Num[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Which rows of a cloud are points: where nothing returned, sensors write NaN or 0, 0, 0, shape (n,).
-
-    Args:
-        path: The file, for messages.
-        points_m: x, y, z in the sensor's own coordinates, before they are moved anywhere.
-
-    Raises:
-        DatasetError: If a coordinate is infinite or farther than any map's, or all points lie beyond 10 km.
-    """
-    number_type = np.result_type(points_m.dtype, np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):
-        x, y, z = (np.abs(points_m[:, axis].astype(number_type, copy=False)) for axis in range(3))
-        extent = x + y + z  # 0, or NaN, where nothing returned
-        impossible = extent > 3 * _FARTHEST_M
-    if impossible.any():
-        row = int(np.argmax(impossible))
-        got = f"{points_m[row].tolist()} in point {row}: of another number type, order of bytes or number of columns?"
-        raise DatasetError(f"{path}: expected finite coordinates within 10,000 km, got {got}")
-    valid: Bool[np.ndarray, " n"] = extent > 0
-    if extent.min(initial=np.inf, where=valid) > NEAREST_M and (away_m := beyond_any_sensor(points_m)):
-        raise DatasetError(
-            f"{path}: expected metres from the sensor, got points of which the nearest lies {away_m:.4g} away: "
-            "coordinates of a map (UTM, ECEF)? Subtract where the sensor stood, in float64."
-        )
-    return valid
 
 
 def with_offsets(

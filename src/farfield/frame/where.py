@@ -9,14 +9,13 @@ import ast
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Shaped
 
-from farfield.errors import ConfigError
+from farfield.errors import ConfigError, did_you_mean
 from farfield.frame.annotation import Annotation
 from farfield.geometry.boxes import Boxes
 
@@ -237,8 +236,7 @@ def _constant(node: ast.expr) -> str | float:
 
 def _check_column(name: str) -> None:
     if name not in COLUMNS:
-        close = get_close_matches(name, COLUMNS, n=1)
-        meant = f" Did you mean {close[0]}?" if close else " A text stands in quotes." if name.islower() else ""
+        meant = did_you_mean(name, COLUMNS) or (" A text stands in quotes." if name.islower() else "")
         raise ConfigError(f"--where: expected columns among {', '.join(COLUMNS)}; got {name}.{meant}")
 
 

@@ -36,7 +36,7 @@ from farfield.metrics.result import (
     without_lone_intervals,
     without_ranges,
 )
-from farfield.metrics.sanity import class_notes, sanity_warnings
+from farfield.metrics.sanity import class_notes, one_sided, sanity_warnings
 from farfield.registry import PluginError, Registry
 from farfield.vocabulary.classes import CIRRUS_CLASSES, closest_class
 
@@ -439,6 +439,7 @@ class Detections:
         )
         relabel = result.settings.get("relabel") or {}
         notes = [] if self.checked else list(self.oddities)
+        notes += one_sided(self.boxes, self.annotated, result.settings)
         notes += class_notes(self.boxes, self.annotated, relabel, with_strange=not self.classes)
         annotated = sum(count for name, count in labels_of(self.annotated, relabel) if name == result.label)
         if counted == 0 and annotated:

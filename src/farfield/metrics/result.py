@@ -280,14 +280,31 @@ class Result:
 
     def footer(self) -> str:
         """The convention, what the intervals are, and the notes, wrapped."""
+        return _wrapped(self.footer_lines())
+
+    def footer_lines(self) -> list[str]:
+        """What the figures are of, the convention, what the intervals are, and the notes: a line each."""
         bootstrap = self.settings.get("bootstrap", {})
         drawn = f"[low, high]: {bootstrap.get('level', 0.95):.0%} bootstrap interval over {self.grouped_by}"
         drawn += " (there is only one sequence)" if self.grouped_by == "frames" else ""
         none = not any(interval for part in self.intervals.values() for interval in part.values())
         lines = [f"{self.protocol}: {self.convention}", "no bootstrap intervals" if none else drawn]
         lines += [f"note: {note}" for note in self.notes]
-        lines = lines if self.subject is None else [f"of: {self.subject}", *lines]
-        return "\n".join(textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
+        return lines if self.subject is None else [f"of: {self.subject}", *lines]
+
+
+def tables_of(results: Sequence[Result]) -> str:
+    """Several results one after another; what all say of convention and intervals stands once, below the last."""
+    shared = set(results[-1].footer_lines()) if results else set()
+    texts = []
+    for result in results[:-1]:
+        own = [line for line in result.footer_lines() if line not in shared]
+        texts.append((str(result).removesuffix(result.footer()) + _wrapped(own)).rstrip("\n"))
+    return "\n\n".join([*texts, *map(str, results[-1:])])
+
+
+def _wrapped(lines: Sequence[str]) -> str:
+    return "\n".join(textwrap.fill(line, 116, subsequent_indent="  ", break_on_hyphens=False) for line in lines)
 
 
 def without_lone_intervals(result: R) -> R:

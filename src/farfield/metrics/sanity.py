@@ -4,7 +4,8 @@ What lies in how predicted and annotated boxes stand to each other is looked at 
 :mod:`farfield.metrics.residuals`.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -51,7 +52,7 @@ def sanity_warnings(predicted: BoxesByFrame, annotated: BoxesByFrame) -> list[st
         return notes
     notes += [*_repeated(predicted, annotated), *_without_boxes(predicted, annotated)]
     if len(sides["predicted"]) >= _MANY <= len(sides["annotated"]):
-        notes += [*_written(**sides), *_one_side(**sides), *_order_of_scores(predicted, annotated)]
+        notes += [*_written(**sides), *_order_of_scores(predicted, annotated)]
     return [*notes, *diagnose_box_convention(predicted, annotated)]
 
 
@@ -157,20 +158,42 @@ def _written(*, predicted: Boxes, annotated: Boxes) -> Iterator[str]:
 _COLUMNS = ("x", "y", "z", "length", "width", "height", "heading")
 
 
-def _one_side(*, predicted: Boxes, annotated: Boxes) -> Iterator[str]:
-    """A note where a half of the surroundings has annotated boxes and no predicted one."""
+def one_sided(predicted: BoxesByFrame, annotated: BoxesByFrame, settings: Mapping[str, Any]) -> Iterator[str]:
+    """A note where a half of the region that counts has annotated boxes and no predicted one.
+
+    Args:
+        predicted: Scored boxes by (sequence, frame).
+        annotated: Annotated boxes by the same.
+        settings: Those of the result, with the region that counts.
+    """
+    centres_m = _places(_joined(predicted.values()))
+    annotated_m = _places(_joined(annotated.values()))
+    if min(len(centres_m), len(annotated_m)) < _MANY:
+        return
+    low_m, high_m = _bounds_m(settings)
+    annotated_m = annotated_m[((annotated_m[:, :2] >= low_m) & (annotated_m[:, :2] <= high_m)).all(axis=1)]
     for words, axis, sign in (
         ("ahead of", 0, 1),
         ("behind", 0, -1),
         ("to the left of", 1, 1),
         ("to the right of", 1, -1),
     ):
-        share = float((sign * annotated.centre_m[:, axis] > 1).mean())
-        if share > 0.1 and not (sign * predicted.centre_m[:, axis] > 1).any():
+        share = float((sign * annotated_m[:, axis] > 1).mean()) if len(annotated_m) else 0.0
+        if share > 0.1 and not (sign * centres_m[:, axis] > 1).any():
             yield (
-                f"no predicted box lies {words} the sensor, where {share:.0%} of the annotated ones do: was the "
-                "detector given that side? Those of them in the region that is scored count as missed"
+                f"no predicted box lies {words} the sensor, where {share:.0%} of the annotated ones in the region that "
+                "is scored do: was the detector given that side?"
             )
+
+
+def _bounds_m(settings: Mapping[str, Any]) -> tuple[list[float], list[float]]:
+    """Lowest and highest x and y of the region that counts; infinite where it names none."""
+    region, window_m = settings.get("region"), settings.get("window_m") or ()
+    if region == "window" and len(window_m) == 4:
+        return list(window_m[::2]), list(window_m[1::2])
+    if isinstance(region, Sequence) and not isinstance(region, str) and len(region) >= 4:  # K-Radar's: x, y, z
+        return list(region[:4:2]), list(region[1:4:2])
+    return [-np.inf, -np.inf], [np.inf, np.inf]
 
 
 def _order_of_scores(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]:

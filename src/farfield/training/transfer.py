@@ -375,8 +375,21 @@ def _differences(source: Mapping[str, Any], own: Mapping[str, Any], where: str =
         old, new, key = source.get(name), own.get(name), f"{where}{name}"
         if isinstance(old, dict) and isinstance(new, dict):
             yield from _differences(old, new, f"{key}.")
-        elif old != new and key not in _SHAPELESS:
-            yield f"{key}: {old}, now {new}"
+        elif key not in _SHAPELESS and _words(old) != _words(new):
+            yield f"{key}: {_words(old)}, now {_words(new)}"
+
+
+def _words(value: Any) -> str:
+    """A setting's value as a user writes it, its numbers to six digits.
+
+    >>> _words({"size_m": (0.8, 0.4), "z_m": -0.3999999999999999}), _words(None)
+    ('size_m 0.8 x 0.4, z_m -0.4', 'none')
+    """
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_words(part)}" for name, part in value.items())
+    if isinstance(value, list | tuple):
+        return " x ".join(map(_words, value))
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 # One tensor made to fit another network's. A response is preserved where it can be: a new column starts at zero, an

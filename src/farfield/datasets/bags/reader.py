@@ -19,12 +19,8 @@ from farfield.files.point_times import PointTimeColumn, PointTimes, check_point_
 from farfield.files.remote_paths import as_path
 from farfield.files.sensor_messages import read_points, read_ros_compressed, read_ros_image
 from farfield.frame import Cloud, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import (
-    CloudSettings,
-    named_columns,
-    returned,
-    with_offsets,
-)
+from farfield.frame.cloud import CloudSettings, with_offsets
+from farfield.frame.cloud_columns import named_columns, returned
 from farfield.vocabulary.counts import count_of
 
 CLOUD, IMAGE = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"

@@ -26,7 +26,8 @@ from farfield.files.images import read_image
 from farfield.files.intensities import intensity_scale_of, scaled_intensity
 from farfield.files.remote_paths import as_path
 from farfield.frame import Annotation, Camera, Cloud, Constant, Frame, Lazy, Sensor, camera_sensor
-from farfield.frame.cloud import read_rows, returned
+from farfield.frame.cloud import read_rows
+from farfield.frame.cloud_columns import returned
 from farfield.geometry.poses import unrigid
 from farfield.vocabulary.patterns import PATTERNS
 

@@ -67,6 +67,7 @@ class Kitti(Dataset):
     """
 
     name = "kitti"
+    reading: CloudReading
 
     def __init__(
         self,

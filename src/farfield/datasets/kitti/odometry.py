@@ -64,6 +64,7 @@ class KittiOdometry(Dataset):
     """
 
     name = "kitti_odometry"
+    reading: CloudReading
 
     def __init__(
         self,

@@ -71,6 +71,7 @@ class KittiRaw(Dataset):
     """
 
     name = "kitti_raw"
+    reading: CloudReading
 
     def __init__(
         self,

@@ -59,6 +59,7 @@ class KittiTracking(Dataset):
     """
 
     name = "kitti_tracking"
+    reading: CloudReading
 
     def __init__(
         self,

@@ -24,7 +24,7 @@ from farfield.files.pcd import read_pcd, write_pcd
 from farfield.files.point_times import PointTimeColumn
 from farfield.files.radar_cells import read_radar_cells, write_radar_cells
 from farfield.frame import Cloud
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.radar.axes import KRADAR_AXES, OUTSIDE, RadarAxes, cube_gather
 from farfield.radar.cells import RATES, RadarCells
 from farfield.radar.products import (

@@ -16,7 +16,7 @@ from farfield.files.json_text import read_json
 from farfield.files.limits import MAX_RINGS
 from farfield.files.pcd import read_pcd
 from farfield.frame import Cloud
-from farfield.frame.cloud import returned
+from farfield.frame.cloud_columns import returned
 from farfield.geometry.poses import transform_points
 
 FULL_INTENSITY = 255.0

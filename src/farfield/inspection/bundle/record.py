@@ -91,7 +91,7 @@ class GroupPair(_Part):
 class BundleFinding(_Part):
     """A finding of the doctor on the data themselves."""
 
-    severity: Literal["ok", "warn", "fail"]
+    severity: Literal["ok", "open", "warn", "fail"]
     topic: str
     what: str
     where: str = ""

@@ -97,11 +97,14 @@ def _doubtful_columns(name: str, read: Sequence[Cloud]) -> Iterator[Finding]:
 
 
 def _scale_text(survey: Survey, name: str) -> str:
+    """The value of full reflectance, where it was given or decided from the clouds."""
     reader = survey.dataset.unwrapped
-    if not isinstance(reader, Cirrus) or name not in reader.intensity_scale:
-        return ""
-    decided = "decided from the data" if reader.mapping.xyz.intensity_scale == "auto" else "given"
-    return f" of full scale {reader.intensity_scale[name]:g} ({decided})"
+    if isinstance(reader, Cirrus) and name in reader.intensity_scale:
+        source = "decided from the data" if reader.mapping.xyz.intensity_scale == "auto" else "given"
+        return f" of full scale {reader.intensity_scale[name]:g} ({source})"
+    if reader.reading is not None:
+        return f" of full scale {reader.reading.scale:g} ({reader.reading.scale_source})"
+    return ""
 
 
 def check_classes(survey: Survey, facts: dict[str, Any]) -> Iterator[Finding]:

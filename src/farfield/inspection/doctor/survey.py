@@ -19,7 +19,7 @@ from farfield.jobs import HERE, JobOptions, Unit, UnitResult, blocks, values
 
 # What the doctor finds, and how it prints.
 
-Severity = Literal["ok", "warn", "fail"]
+Severity = Literal["ok", "open", "warn", "fail"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,8 @@ class Finding:
     """One thing found.
 
     Args:
-        severity: ``"ok"``, ``"warn"`` (training runs, look at it) or ``"fail"`` (training would fail or score zero).
+        severity: ``"ok"``, ``"open"`` (read as documented, and the data do not decide it), ``"warn"`` (training runs,
+            look at it) or ``"fail"`` (training would fail or score zero).
         topic: Short name, such as ``"size order"``.
         what: What was found.
         where: File or frame.

@@ -38,20 +38,22 @@ class DdsResult(Result):
 
     def __str__(self) -> str:
         counts = self.counts["ranges"] | {"overall": self.counts}
-        rows = []
+        first, *others = (f"{epsilon:g}" for epsilon in self.settings["epsilons"])
+        score = "DDS" if first == "0" else f"wDDS {first}"
+        rows, weighted = [], []
         for part in [*self.ranges, "overall", "mean_of_bins"]:
-            boxes_of_part = counts.get(part, {"annotated": "", "predictions": ""})
-            for row, epsilon in enumerate(self.settings["epsilons"]):
-                name = part.replace("_", " ") if row == 0 else ""
-                boxes = [str(boxes_of_part["annotated"]), str(boxes_of_part["predictions"])] if row == 0 else ["", ""]
-                figures = [self.cell(part, f"dds/{epsilon:g}/{figure}") for figure in ("dds", "map", "aiou")]
-                rows.append([name, *boxes, f"{epsilon:g}", *figures])
-        title = f"DDS (epsilon 0) and wDDS of {self.label!r}, by range in metres; '-': nothing annotated"
-        head = ["range", "annotated", "predicted", "epsilon", "DDS", "mAP", "aIoU"]
+            boxes = counts.get(part, {"annotated": "", "predictions": ""})
+            figures = [self.cell(part, f"dds/{first}/{figure}") for figure in ("dds", "map", "aiou")]
+            rows.append([part.replace("_", " "), str(boxes["annotated"]), str(boxes["predictions"]), *figures])
+            weighted.append([rows[-1][0], *(self.cell(part, f"dds/{epsilon}/dds") for epsilon in others)])
+        title = f"{score} of {self.label!r}, by range in metres; '-': nothing annotated"
+        tables = table(["range", "annotated", "predicted", score, "mAP", "aIoU"], rows)
+        if others:
+            tables += "\n\n" + table(["range", *(f"wDDS {epsilon}" for epsilon in others)], weighted)
         limit = self.settings["aiou_threshold_m"]
         within = f"within {limit:g} m" if isinstance(limit, int | float) else "within the least threshold"
         matches = f"aIoU of the whole: mean over {count_of(self.counts['matches'], 'match', 'matches')} {within}"
-        return f"{title}\n\n{table(head, rows)}\n\n{matches}\n{self.footer()}"
+        return f"{title}\n\n{tables}\n\n{matches}\n{self.footer()}"
 
 
 def evaluate_dds(
