@@ -69,7 +69,7 @@ def test_a_frame_is_cropped_to_sensor_points_and_boxes() -> None:
     frame = Frame.of(Cloud(points), CAR.replace(centre_m=np.array([[75.0, 0.0, 0.0]])))
     axes = birdseye(frame).axes[0]
     assert (*axes.get_xlim(), *axes.get_ylim()) == (-40, 80, -20, 30)
-    ahead = birdseye(Frame.of(Cloud(points + [100, 0, 0]))).axes[0]
+    ahead = birdseye(Frame.of(Cloud(points + np.array([100, 0, 0])))).axes[0]
     assert ahead.get_xlim() == (0, 160), "the sensor is shown"
     tall = birdseye(Frame.of(Cloud(points[:, [1, 0, 2]])))
     assert tall.get_figheight() < 10

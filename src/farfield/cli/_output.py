@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sized
 from contextlib import suppress
 from pathlib import Path
@@ -75,7 +76,10 @@ def _raise_again() -> None:
 
 
 def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T]:
-    """Iterate with a progress bar named ``what``, which goes away at the end if it is transient."""
+    """Iterate with a progress bar named ``what``, which goes away at the end if it is transient.
+
+    Where the error stream is no terminal, a line is printed now and then instead.
+    """
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -86,6 +90,9 @@ def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T
     )
 
     listed = items if isinstance(items, Sized) else list(items)
+    if sys.stderr is None or not sys.stderr.isatty():
+        yield from _with_lines(listed, what)
+        return
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -95,6 +102,22 @@ def bar(items: Iterable[T], what: str, *, transient: bool = False) -> Iterator[T
     )
     with Progress(*columns, console=console(stderr=True), transient=transient) as progress:
         yield from progress.track(listed, total=len(listed), description=what)
+
+
+def _with_lines(items: Iterable[T], what: str) -> Iterator[T]:
+    """Iterate, with a line of how many are done and how long the others may take, every half a minute."""
+    count = len(items) if isinstance(items, Sized) else 0
+    began = latest = time.monotonic()
+    for number, item in enumerate(items, 1):
+        yield item
+        now = time.monotonic()
+        if now - latest >= EVERY_S and number < count:
+            left_s = (now - began) / number * (count - number)
+            print(f"{what}: {number} of {count}, about {left_s / 60:.1f} minutes left", file=sys.stderr, flush=True)
+            latest = now
+
+
+EVERY_S = 30.0
 
 
 def print_doubts(data: "Dataset", cloud: str | None = None) -> None:
