@@ -81,7 +81,7 @@ def test_the_flags_that_overrule_stand_in_every_verb_that_reads_a_data_set() -> 
     rows = re.findall(r"^\| `(--[\w-]+)` \| `(\w+)` \|", section, re.MULTILINE)
     reading = [verb for verb in VERBS if "--intensity-scale" in flags_of(verb)]
     assert {"doctor", "predict", "evaluate", "convert", "score"} <= set(reading)
-    assert len(rows) == 8
+    assert len(rows) == 9
     assert [(verb, flag) for flag, _ in rows for verb in reading if flag not in flags_of(verb)] == []
 
 
