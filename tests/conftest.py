@@ -47,10 +47,14 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip the tests marked ``gpu`` where there is none, and those marked ``whole`` unless FARFIELD_WHOLE asks."""
+    """Skip tests that need a GPU or FARFIELD_WHOLE where there is none, and begin with the longest.
+
+    One that takes minutes and begins last would leave the other workers without work.
+    """
     for item in () if os.environ.get("FARFIELD_WHOLE") else items:
         if item.get_closest_marker("whole"):
             item.add_marker(pytest.mark.skip(reason="runs with FARFIELD_WHOLE=1"))
+    items.sort(key=lambda item: item.get_closest_marker("first") is None)  # the others stay in their order
     marked = [item for item in items if item.get_closest_marker("gpu")]
     if marked and not importlib.import_module("torch").cuda.is_available():
         for item in marked:

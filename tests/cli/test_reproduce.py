@@ -25,6 +25,7 @@ def test_what_cannot_be_is_refused_before_anything_is_done(
     assert not [*tmp_path.rglob("*.json")]
 
 
+@pytest.mark.first
 @pytest.mark.slow
 def test_a_plan_says_what_it_costs_and_runs_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -74,6 +74,7 @@ def checked_plan(out: Path) -> None:
     assert time.process_time() - began < 1  # nothing is measured again
 
 
+@pytest.mark.first
 @pytest.mark.slow
 def test_killed_twice_it_gives_the_same_and_redoes_nothing(tmp_path: Path) -> None:
     whole, torn = tmp_path / "whole", tmp_path / "torn"

@@ -168,6 +168,7 @@ def tiny(out):
     return TransferExperiment(table=load_table(changes=changes), out=out)
 
 
+@pytest.mark.first
 @pytest.mark.slow
 def test_a_tiny_table_runs_and_is_not_done_again(tmp_path):
     transfer = tiny(tmp_path)

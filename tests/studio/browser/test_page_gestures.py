@@ -9,6 +9,7 @@ pytest.importorskip("starlette")
 from _studio_random_hands import run_gestures
 
 
+@pytest.mark.first
 @pytest.mark.slow
 def test_what_is_stored_is_what_was_shown(chromium: Any, tmp_path: Path) -> None:
     run = run_gestures(chromium, tmp_path, gestures=500, seed=1, episode=50, rest_ms=40)
