@@ -67,7 +67,7 @@ def _word(word: str) -> str:
         return f"<{bare}>{rest}"
     if bare.startswith("docs/") and bare.endswith(".md"):
         return f"[{bare[5:-3]}]({bare[5:]}){rest}"
-    return word.replace("|", "\\|").replace("*", "\\*").replace("<", "&lt;").replace("_", "\\_")
+    return word.replace("|", "\\|").replace("*", "\\*").replace("<", "&lt;").replace("_", "\\_").replace("[", "\\[")
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -27,6 +27,14 @@ def python_of_docs() -> str | None:
     return sys.executable if find_spec("zensical") else str(own) if own.is_file() else None
 
 
+def test_no_page_has_brackets_that_read_as_a_reference() -> None:
+    """``[<id>/][<version>/]`` of a format's layout is a link of Markdown, and the site's build fails at it."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    for page in pages:
+        text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text("utf-8"), flags=re.DOTALL)
+        assert re.findall(r"(?<!\\)\[[^\]\n]*\]\[[^\]\n]*\]", text) == [], page.name
+
+
 def test_faults_of_links_are_found(make_site: ModuleType, tmp_path: Path) -> None:
     (tmp_path / "a.html").write_text('<h1 id="top">A</h1><a href="b.html#here">b</a><a href="#top">up</a>')
     (tmp_path / "b.html").write_text('<p id="here"></p><a href="a.html">a</a>')
