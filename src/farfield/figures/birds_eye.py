@@ -503,12 +503,11 @@ class Tags:
             if inside and not covers:
                 self.taken.append((x, x + wide, y, y + high))
                 self.axes.text(
-                    x + wide / 2,
+                    x + self.point,
                     y + high / 2,
                     tag,
                     fontsize=_TAG_PT,
                     color=colour,
-                    ha="center",
                     va="center",
                     clip_on=True,
                     zorder=6,
