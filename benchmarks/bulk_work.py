@@ -69,7 +69,7 @@ def measured(words: list[str]) -> Cost:
 def digest(out: Path) -> tuple[str, int]:
     """One digest of all files below a path and their number, without what the clock measured."""
     files = [out] if out.is_file() else sorted(path for path in out.rglob("*") if path.is_file())
-    files = [path for path in files if path.name != "timing.json"]
+    files = [path for path in files if path.name not in ("timing.json", "log.jsonl")]  # a training's log has its speed
     whole = hashlib.sha256()
     for path in files:
         whole.update(path.relative_to(out.parent).as_posix().encode() + hashlib.sha256(path.read_bytes()).digest())
@@ -95,6 +95,8 @@ def verbs(data: Path, cached: Path, kradar: Path, frames: int) -> dict[str, tupl
         "odometry": f"odometry {data} --out OUT/a",
         "depth": f"depth {data} --out OUT/a",
         "anonymize": f"anonymize {data} OUT/a",
+        "adapt": f"adapt pointpillars-cirrus-sim {data} --source {data} --cloud gaussian --rounds 1 --steps 2 "
+        f"--frames {frames} --source-frames {frames} --out OUT/a",
     }
     return {name: (line.split(), str(cached) if "cache" in name else "OUT/a") for name, line in words.items()}
 
