@@ -30,7 +30,8 @@ from farfield.evaluation.pasted_cars import (
     in_sensor_axes,
     try_on_donors,
 )
-from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Constant, Frame, Sensor
+from farfield.frame import Annotation, Boxes, Camera, CameraField, Cloud, Constant, Frame, Sensor, transform_frame
+from farfield.geometry.poses import pose_from_yaw
 from farfield.simulation.donors import DonorSweep
 from farfield.simulation.lidar.model import HDL_64E
 
@@ -218,6 +219,32 @@ def test_a_detector_sees_the_named_cloud_in_its_own_coordinates(rng: np.random.G
     assert np.median(moved.cloud().points_m[:, 2]) == pytest.approx(-1.8, abs=0.1)
 
 
+@pytest.mark.parametrize("turn_rad", [0.0, 0.1, np.pi / 2, np.pi])
+def test_cars_stand_ahead_in_a_frame_that_was_turned(turn_rad: float) -> None:
+    """They stood behind a detector that looks ahead, in frames turned round: none of them was found."""
+    pytest.importorskip("embreex")
+    azimuth, up = np.meshgrid(np.linspace(-3.14, 3.14, 1800), np.deg2rad(np.linspace(-14, -1.5, 40)))
+    ray = np.stack([np.cos(up) * np.cos(azimuth), np.cos(up) * np.sin(azimuth), np.sin(up)], -1).reshape(-1, 3)
+    frame = Frame(
+        sequence="a",
+        frame_id="0",
+        clouds={"lidar": Cloud(ray * (-1.8 / ray[:, 2:]))},
+        reference="lidar",
+        sensors={"lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4))},
+        load_annotation=Constant(Annotation(boxes=boxes_at())),
+    )
+    knowing = Knowing()
+
+    def detect(sight: Frame) -> Boxes:
+        boxes = knowing(sight)
+        return boxes[boxes.centre_m[:, 0] > 0]
+
+    turned = transform_frame(frame, pose_from_yaw(turn_rad))
+    result = try_on_donors(detect, [turned], HDL_64E, in_field=all_around)
+    assert len(result.cars) > 8
+    assert np.mean([car.score > 0 for car in result.cars if car.points > 20]) > 0.7
+
+
 def test_false_vehicles_are_sorted_by_range_and_points() -> None:
     assert trial().false_by_range(0.5) == {"6-20 m": 1.0, "20-35 m": 0.0, "35-50 m": 0.0, "50-70 m": 0.0}
     assert trial().false_by_points(0.2)["5 to 19"] == 1.5
@@ -309,6 +336,7 @@ def test_the_eye_is_frozen() -> None:
         "_TALL_M": 2.8,
         "_HIGHEST_M": 8.0,
         "_TALL_POINTS": 3,
+        "_MOUNTED_RAD": pytest.approx(np.pi * 20 / 180),
     }
 
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -180,9 +181,10 @@ class Dataset(ABC):
         return tuple(zip(self.sequences, self.frame_ids, strict=True))
 
     def drives(self) -> tuple[Drive, ...]:
-        """The drives, without building a frame; none where the frames are shuffled, as KITTI's object set's are.
+        """The drives; none where the frames are shuffled, as KITTI's object set's are.
 
-        Times and poses are given where they are known without reading every frame's files.
+        Times are given where they are known without reading every frame's files. Poses are given where all frames of
+        a drive have one; a reader that does not know them sooner builds its frames, clouds and images left unread.
         """
         keys = self.keys
         return tuple(
@@ -206,8 +208,24 @@ class Dataset(ABC):
         return None
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        """Pose of each of a drive's frames, where that is known cheaply."""
-        del indices
+        """Pose of each of a drive's frames, (n, 4, 4): the frames' own, unless a reader knows them sooner.
+
+        None where one has none, and where a frame's files are damaged, which is said when that frame is read.
+        """
+        first = int(indices[0]) if len(indices) else -1
+        if first not in self._poses_by_first:
+            self._poses_by_first[first] = self._read_poses(indices) if first >= 0 else None
+        return self._poses_by_first[first]
+
+    @cached_property
+    def _poses_by_first(self) -> dict[int, Poses | None]:
+        """Poses that were read, by the index of a drive's first frame."""
+        return {}
+
+    def _read_poses(self, indices: Indices) -> Poses | None:
+        with suppress(FarfieldError, OSError):
+            if self.frame(int(indices[0])).world_T_frame is not None:
+                return all_poses(self.frame(int(index)).world_T_frame for index in indices)
         return None
 
     @cached_property

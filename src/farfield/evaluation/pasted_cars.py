@@ -27,6 +27,7 @@ FARTHEST_M, SECTOR_RAD, MATCH_M = 70.0, np.deg2rad(35.0), 2.0
 FAR_RANGES_M, FAR_HALF_WIDTH_M = ((70, 110), (110, 150), (150, 200), (200, 250)), 45.0
 FAR_POINTS = ((1, 3), (3, 7), (7, 21), (21, 1 << 30))
 COPIES, CARS_A_RANGE = 3, 2
+_MOUNTED_RAD = np.deg2rad(20.0)
 _KIND_MARGIN_M, _PLANT_SCATTER, _FEW_POINTS = 0.3, 0.03, 5
 _TALL_M, _HIGHEST_M, _TALL_POINTS = 2.8, 8.0, 3
 
@@ -62,6 +63,7 @@ def try_on_donors(
     for number, own in enumerate(data):
         frame, frame_T_sensor = in_sensor_axes(own, cloud), _pose(own, cloud)
         sees = detect if frame_T_sensor is None else partial(_seen_in_frame, detect, frame_T_sensor)
+        ahead_rad = _ahead_rad(frame_T_sensor)
         annotated = _annotated(frame)
         sweep = DonorSweep.of(frame.cloud(), annotated)
         bare = _detected(sees, frame, Cloud(sweep.points_m, sweep.intensity), in_field, (0.0, FARTHEST_M))
@@ -69,7 +71,7 @@ def try_on_donors(
         trial.false += _false_vehicles(bare, sweep, number)
         for copy in range(COPIES):
             rng = np.random.default_rng((seed, number, copy))
-            cars = _cars(sweep, frame, in_field, [(band, SECTOR_RAD) for band in RANGES_M], rng)
+            cars = _cars(sweep, frame, in_field, [(band, SECTOR_RAD) for band in RANGES_M], rng, ahead_rad)
             trial.cars += _tried(sees, frame, sweep, cars, model, in_field, (0.0, FARTHEST_M), number, rng)
         trial.sweeps += 1
         trial.scenes.append(frame.sequence)
@@ -150,11 +152,13 @@ def _cars(
     in_field: InField,
     bands: Sequence[tuple[tuple[int, int], float]],
     rng: np.random.Generator,
+    ahead_rad: float = 0.0,
 ) -> list[StandingBody]:
     """Cars in a sweep, some in each band of range and so far to the side, where somebody would have annotated them."""
     cars: list[StandingBody] = []
     for band, side_rad in [*bands] * CARS_A_RANGE:
-        car = find_place(sweep, draw_actor(rng), band, rng, azimuth_rad=(-side_rad, side_rad), taken=cars)
+        sector_rad = (-side_rad, side_rad)
+        car = find_place(sweep, draw_actor(rng), band, rng, azimuth_rad=sector_rad, ahead_rad=ahead_rad, taken=cars)
         if car is not None and in_field(frame, car.boxes)[0]:
             cars.append(car)
     return cars
@@ -299,6 +303,15 @@ def _pose(frame: Frame, cloud: str | None) -> Pose | None:
     sensor = frame.sensors.get(cloud or next(iter(frame.clouds)))
     pose = None if sensor is None else sensor.frame_T_sensor
     return None if pose is None or np.allclose(pose, np.eye(4), rtol=0, atol=1e-9) else pose
+
+
+def _ahead_rad(frame_T_sensor: Pose | None) -> float:
+    """Where the frame's +x points in the sensor's axes, such as pi in a frame turned round; 0 for a mounting's yaw."""
+    if frame_T_sensor is None:
+        return 0.0
+    forward = frame_T_sensor[0, :3]  # the first column of the inverse's rotation
+    yaw_rad = float(np.arctan2(forward[1], forward[0]))
+    return yaw_rad if abs(yaw_rad) > _MOUNTED_RAD else 0.0
 
 
 def _seen_in_frame(detect: Callable[[Frame], Boxes], frame_T_sensor: Pose, sight: Frame) -> Boxes:

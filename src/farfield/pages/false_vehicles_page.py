@@ -73,7 +73,10 @@ def headline(trial: DonorTrial) -> str:
     """How many false vehicles a sweep come with a recall of four fifths, in a sentence."""
     false, threshold = trial.at_recall(), trial.threshold_at()
     if false is None or threshold is None:
-        return f"{RECALL:.0%} of the pasted cars are not found at any score."
+        recall = float(trial.curve()[1].max(initial=0.0))
+        return (
+            f"a recall of {RECALL:.0%} of the pasted cars is not reached: {recall:.0%} are found at the lowest score."
+        )
     interval = interval_over_sweeps(trial, lambda own, sweeps: own.at_recall(RECALL, sweeps))
     spans = "" if interval is None else f" (95 %: {interval[0]:.1f} to {interval[1]:.1f})"
     finds = f"the score of {threshold:.2f} that finds {RECALL:.0%} of the pasted cars"

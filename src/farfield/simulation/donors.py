@@ -186,6 +186,7 @@ def find_place(
     rng: np.random.Generator,
     *,
     azimuth_rad: tuple[float, float] = (-np.pi, np.pi),
+    ahead_rad: float = 0.0,
     taken: Sequence[StandingBody] = (),
     tries: int = 60,
 ) -> StandingBody | None:
@@ -196,12 +197,14 @@ def find_place(
         actor: The body.
         range_m: Ground distance of its middle, at least and at most.
         rng: Draws place and heading.
-        azimuth_rad: The sector that it may stand in.
+        azimuth_rad: The sector that it may stand in, from the direction that counts as ahead.
+        ahead_rad: That direction, counter-clockwise from +x.
         taken: Bodies that stand there already.
         tries: Places to try.
     """
     away_m = np.hypot(sweep.points_m[:, 0], sweep.points_m[:, 1])
-    azimuth = np.arctan2(sweep.points_m[:, 1], sweep.points_m[:, 0])
+    (x, y), cos, sin = sweep.points_m[:, :2].T, np.cos(ahead_rad), np.sin(ahead_rad)
+    azimuth = np.arctan2(cos * y - sin * x, cos * x + sin * y)
     in_sector = (azimuth >= azimuth_rad[0]) & (azimuth <= azimuth_rad[1])
     ground = (np.abs(sweep.height_m) < _GROUND_M) & (away_m >= range_m[0]) & (away_m <= range_m[1]) & in_sector
     standing = sweep.standing_points_m
