@@ -2,6 +2,7 @@
 
     python tools/release_check.py                       # whole: half an hour, 6 GB of disk
     python tools/release_check.py --only version builds
+    python tools/release_check.py --only extras --extras onnx ray
     python tools/release_check.py --only extras --pythons 3.13 --torch-flags="--index-url URL"
 
 Each environment is made, used and removed; a line says what held. A Python that this machine lacks is named, not passed
@@ -35,7 +36,7 @@ HEADINGS = ("Added", "Changed", "Deprecated", "Removed", "Fixed", "Security")
 SMOKE = {
     "": "import farfield as ff; assert len(ff.open_dataset('open-sweeps')) == 12",
     "detect": "import farfield as ff; ff.load_detector('pointpillars-cirrus-sim')",
-    "simulate": "from farfield.simulation import simulate_sequence as s; next(iter(s('cirrus-sim', seed=3, frames=1)))",
+    "simulate": "from farfield.simulation import simulate_sequence as s; next(s('cirrus-sim', sequence=0, frames=1))",
     "argoverse2": "import pyarrow.feather",
     "bags": "import rosbags.highlevel",
     "las": "import lazrs",
@@ -237,7 +238,7 @@ def check_extras(options: argparse.Namespace) -> str:
     count = 0
     for python in options.pythons:
         held(shutil.which(f"python{python}") is not None, f"python{python} is not on this machine")
-        for extra in sorted(set(SMOKE) - {"all"}):
+        for extra in sorted(set(options.extras or SMOKE) - {"all"}):
             if extra in NEED_TORCH and python in options.no_torch:
                 print(f"  {python} [{extra}]: left out with torch", flush=True)
                 continue
@@ -260,6 +261,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", choices=CHECKS, default=list(CHECKS), help="these checks")
     parser.add_argument("--pythons", nargs="+", default=list(PYTHONS), help="under these Pythons")
+    parser.add_argument("--extras", nargs="+", choices=sorted(set(SMOKE) - {"", "all"}), help="these extras")
     parser.add_argument("--no-torch", nargs="*", default=[], help="Pythons under which torch is left out")
     parser.add_argument("--torch-flags", default="", help="flags of pip for torch, such as an index of CPU builds")
     options = parser.parse_args()

@@ -1,12 +1,14 @@
 """What an evaluation lost: each object's loss by hand, slices by a condition, and the file read back."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import farfield as ff
+from farfield.cli import main
 from farfield.datasets.door import dataset_of
 from farfield.datasets.maps.where import fulfilling
 from farfield.errors import ConfigError, DatasetError, FileFormatError
@@ -16,6 +18,7 @@ from farfield.frame.where import Where
 from farfield.metrics import Detections
 from farfield.metrics.breakdown import of_slice
 from farfield.metrics.presenting import HitRule
+from farfield.pages.worst_page import headline
 
 
 def boxes(*places: tuple[float, float, float | None], label: str = "vehicle") -> ff.Boxes:
@@ -51,6 +54,24 @@ def test_losses_are_those_of_the_hand(tmp_path: Path) -> None:
     assert lost.by("weather")[0] == {"value": "sleet", "loss": 1.6, "missed": 1, "false": 1, "unsure": 0}
     with pytest.raises(ConfigError, match="--by"):
         lost.by("colour")
+
+
+def test_classes_that_do_not_count_are_named(tmp_path: Path) -> None:
+    """All bicycles were missed, and nothing said that the evaluation was of vehicles alone."""
+    own = detections()
+    key = ("a", "1")
+    both = ff.Boxes.concatenate(
+        [own.annotations[key].boxes.plain(), boxes((10, 3, None), (12, 5, None), label="bicycle")]
+    )
+    own = replace(own, annotations={**own.annotations, key: Annotation(boxes=both)})
+    (tmp_path / LOST).write_text(json.dumps(lost_json({"lidar": lost_of(own, finding=HitRule(), labels={"vehicle"})})))
+    (lost,) = read_lost(tmp_path)
+    assert "of vehicle alone; also annotated: bicycle (2) (farfield evaluate --label CLASS)" in headline(lost)
+    assert headline(lost.where(None, ("missed",))).endswith("(farfield evaluate --label CLASS)")
+    assert main(["worst", str(tmp_path), "--where", 'label == "bicycle"']) == 1
+    every = lost_of(own, finding=HitRule(), labels=None)
+    (tmp_path / LOST).write_text(json.dumps(lost_json({"lidar": every})))
+    assert "alone" not in headline(read_lost(tmp_path)[0])
 
 
 def test_boxes_outside_the_score_s_region_lose_nothing() -> None:

@@ -155,3 +155,17 @@ def test_the_verb_writes_a_page_without_a_browser(tmp_path: Path, capsys: pytest
     assert held["welcome"]["first"] == 1
     assert main(["view", "--html", str(target), "--frame", "9"]) == 1
     assert "expected a number below 2" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not (STATIC / "index.html").is_file(), reason="the page is not built: npm run build in web/")
+def test_the_verb_s_page_has_the_boxes_of_the_detectors(tmp_path: Path, monkeypatch):
+    """They were left out without a word."""
+    pytest.importorskip("torch")
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    target = tmp_path / "one.html"
+    assert main(["view", "open-sweeps", "--html", str(target), "--detector", "pointpillars-roads"]) == 0
+    held = json.loads(re.search(r'id="farfield-data">(.*?)</script>', target.read_text(), re.DOTALL)[1])
+    (frame,) = held["frames"]
+    (predicted,) = frame["predicted"]
+    assert predicted["set"] == "detector-pointpillars-roads"
+    assert len(predicted["rows"]) > 3

@@ -67,10 +67,15 @@ def run(
     check_outputs(
         (data, folder / LOST, folder / "evaluation.json", *reading.paths), files={"--out": page, "--json": json}
     )
-    parts = [lost.where(condition, KINDS if kind == "all" else (kind,)) for lost in read_lost(evaluation)]
+    whole = read_lost(evaluation)
+    parts = [lost.where(condition, KINDS if kind == "all" else (kind,)) for lost in whole]
     if not any(lost.objects for lost in parts) and (where or kind != "all"):
+        classes = sorted({name for lost in whole for name in lost.classes if lost.other_classes})
+        alone = (
+            f". The evaluation is of {' and '.join(classes)} alone: farfield evaluate --label CLASS" if classes else ""
+        )
         raise ConfigError(
-            f"--where {where or '(none)'} --kind {kind}: expected objects that were lost, found none such"
+            f"--where {where or '(none)'} --kind {kind}: expected objects that were lost, found none such{alone}"
         )
     if dry_run:
         would_write("the worst frames and objects", page or json or "the output")

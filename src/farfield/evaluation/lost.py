@@ -4,8 +4,9 @@ An annotated object that was found loses one less the score of the best box that
 box its score; a frame loses the sum. So no threshold decides, and a sure mistake counts more than an unsure one.
 """
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, Literal
@@ -51,14 +52,17 @@ def lost_of(
 
     Returns:
         ``frames`` and ``objects``, those that lost most first; objects that were found by a score of 0.5 or more are
-        left out, and of the others all but the first 2,000.
+        left out, and of the others all but the first 2,000. ``other_classes`` counts the annotated objects of classes
+        that do not count.
     """
     objects: list[dict[str, Any]] = []
     frames: list[dict[str, Any]] = []
-    region = _region_of(settings or {})
+    region, others = _region_of(settings or {}), Counter[str]()
     for key, annotation in detections.annotations.items():
         conditions = detections.conditions.get(key, {})
-        annotated = annotation[of_classes(annotation.boxes, labels) & in_region(annotation.boxes, region)]
+        counts, inside = of_classes(annotation.boxes, labels), in_region(annotation.boxes, region)
+        annotated = annotation[counts & inside]
+        others.update(np.asarray(annotation.boxes.label)[~counts & inside].tolist())
         boxes = detections.boxes.get(key, Boxes.empty(scored=True))
         boxes = boxes[of_classes(boxes, labels) & in_region(boxes, region)]
         finder = finding.found_by(boxes, annotated.boxes)
@@ -84,6 +88,8 @@ def lost_of(
         objects += [row for row in own if row["kind"] != "unsure" or row["loss"] > 0.5]
     return {
         "finding": str(finding),
+        "classes": sorted(labels or ()),
+        "other_classes": dict(others.most_common()),
         "frames": sorted(frames, key=itemgetter("loss"), reverse=True),
         "objects": sorted(objects, key=itemgetter("loss"), reverse=True)[:_MOST_OBJECTS],
         "objects_in_all": len(objects),
@@ -130,6 +136,8 @@ class Lost:
         frames: The frames, those that lost most first.
         objects: The objects, likewise.
         objects_in_all: How many there were before only the first were written.
+        classes: Classes that count; none for all.
+        other_classes: Number of annotated objects of each other class.
     """
 
     cloud: str
@@ -137,6 +145,8 @@ class Lost:
     frames: Sequence[Row]
     objects: Sequence[Row]
     objects_in_all: int
+    classes: tuple[str, ...] = ()
+    other_classes: Mapping[str, int] = field(default_factory=dict)
 
     def where(self, condition: Where | None, kinds: Collection[str] = KINDS) -> "Lost":
         """The objects of some kinds that fulfil a condition, and the frames that hold such, by their loss of these.
@@ -161,7 +171,7 @@ class Lost:
             one["missed"] += row["kind"] == "missed"
             one["false"] += row["kind"] == "false"
         frames = sorted(sums.values(), key=itemgetter("loss"), reverse=True)
-        return Lost(cloud=self.cloud, finding=self.finding, frames=frames, objects=rows, objects_in_all=len(rows))
+        return replace(self, frames=frames, objects=rows, objects_in_all=len(rows))
 
     def by(self, kind: str) -> list[dict[str, Any]]:
         """Losses summed by a property, the greatest first.
@@ -205,6 +215,8 @@ def read_lost(folder: Path) -> list[Lost]:
                 frames=[_checked(row, ("sequence", "frame"), ("loss",)) for row in part["frames"]],
                 objects=[_checked(row, ("kind", "sequence", "frame", "label"), ("loss",)) for row in part["objects"]],
                 objects_in_all=int(part["objects_in_all"]),
+                classes=tuple(map(str, part.get("classes", ()))),
+                other_classes={str(name): int(count) for name, count in part.get("other_classes", {}).items()},
             )
             for cloud, part in tree["clouds"].items()
         ]

@@ -33,7 +33,8 @@ BASICS: Words = (
     ),
     (
         "Interval",
-        "How far the score might move had other drives been recorded: the middle 95 % of scores over resampled drives.",
+        "How far the score might move had other drives been recorded: the middle 95 % of scores over resampled "
+        "sequences; of a single sequence over its resampled frames, which differ less than drives do.",
     ),
 )
 

@@ -107,8 +107,11 @@ def _caption(
     where = "" if drawing.region_m is None else " in the region that counts"
     num_found = int((drawing.finding.found_by(predicted_inside, annotated_inside) >= 0).sum())
     wrong = len(predicted_inside) - num_found
+    is_part = drawing.labels is not None and not of_classes(annotated, drawing.labels).all()
+    kinds = f" of {' and '.join(drawing.labels or ())}" if is_part else ""
     return (
-        f"{start} {num_found} of {count_of(len(annotated_inside), 'annotated object')}{where} found {drawing.finding}, "
+        f"{start} {num_found} of {count_of(len(annotated_inside), 'annotated object')}{kinds}{where} found "
+        f"{drawing.finding}, "
         f"{count_of(wrong, 'prediction')} without one ({sureness})."
     )
 

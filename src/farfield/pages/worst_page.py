@@ -137,7 +137,16 @@ def headline(lost: Lost) -> str:
     return (
         f"{lost.cloud}: {count_of(missed, 'missed object', spec=',')} and "
         f"{count_of(false, 'false box', 'false boxes', spec=',')}{among} in {count_of(len(lost.frames), 'frame')}"
+        f"{_of_classes(lost)}"
     )
+
+
+def _of_classes(lost: Lost) -> str:
+    """Which classes count, where others are annotated too."""
+    if not lost.other_classes:
+        return ""
+    others = ", ".join(f"{name} ({count})" for name, count in lost.other_classes.items())
+    return f", of {' and '.join(lost.classes)} alone; also annotated: {others} (farfield evaluate --label CLASS)"
 
 
 def _number(row: Mapping[str, Any], name: str, spec: str) -> str:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -182,6 +183,33 @@ async def cancel(session: Session, window: ClientWindow, request: requests.Infer
         raise ConfigError("infer: there is no such job that still runs")
 
 
+def _with_boxes(session: Session, detector: str, index: int, boxes: Boxes) -> Predictions:
+    """A detector's set, with its boxes of one frame."""
+    predictions = predictions_of(session, detector)
+    predictions.boxes[session.frames.data.keys[index]] = boxes
+    check_detected(session, session.frames.data.keys[index])
+    classes = sorted({*predictions.about.classes, *map(str, boxes.label)})
+    predictions.about = replace(predictions.about, frames=len(predictions.boxes), classes=tuple(classes))
+    return predictions
+
+
+def detect_in(session: Session, indices: Iterable[int]) -> None:
+    """Run the detectors named at the start on some frames, and wait for their boxes.
+
+    Raises:
+        FarfieldError: If a detector cannot be loaded, or fails in a frame.
+    """
+    worker = Worker(session.frames.data)
+    try:
+        for detector, index in itertools.product(session.settings.detectors, indices):
+            boxes = worker.ask(detector, index)
+            if boxes.score is not None:
+                boxes = boxes[boxes.score >= session.settings.threshold]
+            _with_boxes(session, detector, index, boxes)
+    finally:
+        worker.stop()
+
+
 class _DetectionSink:
     """Takes what was found in a frame: into its set, to the windows that show it, into the annotation."""
 
@@ -192,11 +220,7 @@ class _DetectionSink:
         session = self.session
         if boxes.score is not None:
             boxes = boxes[boxes.score >= min(session.settings.threshold, job.threshold or 1.0)]
-        predictions = predictions_of(session, job.detector)
-        predictions.boxes[session.frames.data.keys[index]] = boxes
-        check_detected(session, session.frames.data.keys[index])
-        classes = sorted({*predictions.about.classes, *map(str, boxes.label)})
-        predictions.about = replace(predictions.about, frames=len(predictions.boxes), classes=tuple(classes))
+        predictions = _with_boxes(session, job.detector, index, boxes)
         if job.propose and session.annotating is not None:
             await propose(session, job, index, boxes)
         for window in list(session.windows.values()):

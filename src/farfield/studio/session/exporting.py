@@ -16,6 +16,7 @@ from farfield.studio.messages import requests
 from farfield.studio.messages.replies import FrameState, Job
 from farfield.studio.messages.rows import Layer
 from farfield.studio.options import StudioSettings
+from farfield.studio.session.detecting import detect_in
 from farfield.studio.session.frame_cache import FrameCache, first_of
 from farfield.studio.session.session import ClientWindow, Session, handles
 from farfield.studio.session.viewing import welcome
@@ -82,7 +83,7 @@ def page_of(session: Session, window: ClientWindow, frames: tuple[int, ...]) -> 
 
 
 def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], path: Path) -> None:
-    """Write the HTML file of some frames without a browser.
+    """Write the HTML file of some frames without a browser, with the boxes of the detectors that the settings name.
 
     Args:
         data: The data set.
@@ -91,12 +92,13 @@ def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], p
         path: The file.
 
     Raises:
-        FarfieldError: If there is no such frame, there are too many, or the page is not built.
+        FarfieldError: If there is no such frame, there are too many, a detector fails, or the page is not built.
     """
     session = Session(settings)
     try:
         session.open(data)
         indices = tuple(first_of(frame, data) for frame in frames or ("",))
+        detect_in(session, indices[:MOST_FRAMES])
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page_of(session, ClientWindow(id="file", annotator="", threshold=settings.threshold), indices))
     finally:
