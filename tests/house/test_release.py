@@ -1,5 +1,7 @@
 """The checks before a release: the changelog's form, and the packages of an extra."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -44,3 +46,15 @@ def test_an_extra_needs_what_its_packages_need_and_all_is_pinned() -> None:
     others = set().union(*(group for name, group in groups.items() if name not in ("", "all")))
     assert groups["all"] == others
     assert groups["all"] | groups[""] <= pins().keys()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("extra", sorted(set(SMOKE)))
+def test_the_line_of_an_extra_runs_where_its_packages_are(extra: str, tmp_path: Path) -> None:
+    """The release check runs each in an environment of its own: one failed there after half an hour."""
+    done = subprocess.run(
+        [sys.executable, "-c", SMOKE[extra]], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    if "No module named" in done.stderr:
+        pytest.skip(done.stderr.strip().splitlines()[-1])
+    assert done.returncode == 0, done.stderr

@@ -142,24 +142,27 @@ def note_command(words: Iterable[str]) -> None:
     _words[:] = words
 
 
-def leave_card(folder: Path, what: str, *sources: "Dataset | Path") -> None:
+def leave_card(folder: Path, what: str, *sources: "Dataset | Path", weights: str = "") -> None:
     """Write source, licence and command beside derived files, see :mod:`farfield.datasets.cards`.
 
     Args:
         folder: Where they stand.
         what: What they are.
         *sources: The data sets that they were made of, or their folders.
+        weights: Weights that a training started from.
     """
+    from farfield.datasets import open_sweeps
     from farfield.datasets.cards import write_card
     from farfield.datasets.recognition import recognise
 
+    folders = [open_sweeps.ROOT if str(one) == open_sweeps.NAME else one for one in sources]
     named = [
         ((recognise(one) if one.is_dir() else None) or "folder", one)
         if isinstance(one, Path)
         else (one.unwrapped.name, one.root)
-        for one in sources
+        for one in folders
     ]
-    write_card(folder, what=what, sources=named, command=_words)
+    write_card(folder, what=what, sources=named, command=_words, weights=weights)
 
 
 def would_write(what: str, where: Path | str, much: str = "") -> None:

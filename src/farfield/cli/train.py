@@ -60,7 +60,8 @@ def run(
     if not dry_run:
         plan.run(report)
         data = settings.data.values() if isinstance(settings.data, Mapping) else [settings.data]
-        leave_card(folder, "Weights of a detector, and its training", *(Path(part.path) for part in data))
+        sources = (Path(part.path) for part in data)
+        leave_card(folder, "Weights of a detector, and its training", *sources, weights="".join(start))
         return 0
     plan.announce(report)
     for line in plan.dry_run():

@@ -11,6 +11,7 @@ CARD_NAME = "CARD.md"
 """The file's name."""
 _COMMAND = "    farfield "
 _IDLE = ("--workers", "--engine", "--address", "--overwrite")  # which decide nothing; all but the last have a value
+_UNLICENSED = ("cirrus", "t4")  # data sets of owners whose licence is not known here
 _MOST_COMMANDS, _MOST_BYTES = 20, 1 << 16
 
 TERMS: tuple[tuple[str, str], ...] = (
@@ -22,6 +23,7 @@ TERMS: tuple[tuple[str, str], ...] = (
     ("NC-SA", "for non-commercial purposes, with credit to its authors, under the same licence"),
     ("research", "not without its owners' consent: whoever needs it asks them for the data set"),
     ("CC BY", "with credit to its authors"),
+    ("Apache", "with its authors' licences and notices"),
 )
 """Part of a licence's name, and what it lets pass on of derived files; the first that stands in the name counts."""
 UNKNOWN_TERMS = "its licence is not known here: ask its owners before any of this is passed on"
@@ -36,7 +38,9 @@ def terms_of(licence: str | None) -> str:
     return next((terms for part, terms in TERMS if part in (licence or "")), UNKNOWN_TERMS)
 
 
-def write_card(folder: Path, *, what: str, sources: Sequence[tuple[str, Path]], command: Sequence[str]) -> Path:
+def write_card(
+    folder: Path, *, what: str, sources: Sequence[tuple[str, Path]], command: Sequence[str], weights: str = ""
+) -> Path:
     """Write the card of derived files, or add a command to it; paths of the machine are cut to their last name.
 
     Args:
@@ -44,6 +48,7 @@ def write_card(folder: Path, *, what: str, sources: Sequence[tuple[str, Path]], 
         what: What they are, such as ``"A radar store"``.
         sources: Format and folder of each data set that they were made of.
         command: The words of the command, without ``farfield``.
+        weights: Weights that a training started from.
 
     Returns:
         The card.
@@ -54,6 +59,11 @@ def write_card(folder: Path, *, what: str, sources: Sequence[tuple[str, Path]], 
     lines = [f"# {what}", "", f"Made by Farfield {__version__}. No model of its data's owners is implied."]
     for name, root in dict.fromkeys(sources):
         lines += ["", *_source(name, root)]
+    if weights:
+        lines += [
+            "",
+            f"- Weights at the start: {_last_name(weights)}, with what they learnt from; their terms hold too.",
+        ]
     words = " ".join(_deciding(command, folder))
     commands = dict.fromkeys([*_commands(path), f"{_COMMAND}{words}"])
     lines += ["", "Commands, with their paths' last names:", "", *list(commands)[-_MOST_COMMANDS:]]
@@ -70,6 +80,9 @@ def _source(name: str, root: Path) -> list[str]:
     facts = find_format(name).facts if name in DATASETS.names() else None
     if facts is None or name == "folder":
         return [f"- Source: {root.name}, a folder of one's own.", f"- Passing on: {UNKNOWN_TERMS}."]
+    if facts.licence is None and name not in _UNLICENSED:  # a tool's layout, which says nothing of whose data they are
+        layout = f"the layout of {facts.title} ({facts.source})"
+        return [f"- Source: {root.name}, data of one's own in {layout}.", f"- Passing on: {UNKNOWN_TERMS}."]
     return [
         f"- Source: {facts.title} ({root.name}): {facts.source}",
         f"- Licence of the source: {facts.licence or 'not known here'}",
