@@ -165,7 +165,7 @@ def test_it_says_what_it_will_do_before_it_does_it(experiment, tmp_path, capsys)
     assert "to 64 m; classes vehicle" in said
     assert "3 frames of 1 drive" in said
     assert "3 steps of 2 frames, 2.0 passes over the data, learning rate up to 0.003, fp32 on the" in said
-    assert "validation every 2 steps on 1 frame held out" in said
+    assert "validation every 2 steps on up to 1 frame held out" in said
     assert f"run: {tmp_path / 'runs' / 'tiny'}, which begins" in said
     assert not (tmp_path / "runs").exists()
     assert main([*words, "--dry-run", "-o", "data.path=absent"]) == 1

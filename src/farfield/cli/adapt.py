@@ -1,5 +1,6 @@
 """``farfield adapt``."""
 
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -99,6 +100,12 @@ def run(
     opened = joined([reading.open(one, rotate_deg=rotate_deg) for one in data])
     folder = out or Path("runs") / f"adapted-{opened.root.name}"
     check_outputs((detector, *data, source, labels, learn_from, *reading.paths), folders={"--out": folder})
+    if source is not None and source.resolve() in {one.resolve() for one in data}:
+        print(
+            f"warning: --source {source} is DATA itself: its labels are learnt from, and a score on these frames says "
+            "nothing of others",
+            file=sys.stderr,
+        )
     terminal = console(stderr=True)
     kind = _Bars if terminal.is_terminal else _Lines
     choices: dict[str, Any] = {

@@ -45,11 +45,13 @@ def seen_in_training(data: Dataset, provenance: Mapping[str, Any], keys: set[Key
     if digests:
         if common := sum(learnt_rows):
             return _words(common, len(rows)), common
-        return (
-            f"none of the {count_of(len(rows), 'frame')}, by the bytes of their files"
-            if complete and certain
-            else UNKNOWN
-        ), 0
+        none = f"none of the {count_of(len(rows), 'frame')}"
+        if complete and certain:
+            return f"{none}, by the bytes of their files", 0
+        start = (provenance.get("start") or {}).get("weights")
+        if start and certain and _learnt_digests({**provenance, "start": None})[1]:
+            return f"{none} in the training itself; of the weights that it started from ({start}) {UNKNOWN}", 0
+        return UNKNOWN, 0
     trained = _fingerprints(provenance)
     if not trained:
         return UNKNOWN, 0

@@ -203,7 +203,7 @@ class Plan:
         if (validation := training.validation) is not None:
             which = f"of the split {validation.split}" if validation.split else "held out"
             lines.append(
-                f"validation every {count_of(validation.every_steps, 'step')} on "
+                f"validation every {count_of(validation.every_steps, 'step')} on up to "
                 f"{count_of(validation.frames, 'frame')} {which}; the best "
                 "weights are kept"
             )

@@ -177,7 +177,17 @@ def _layout(members: list[ComparedResult], columns: list[Column], letters: Mappi
         mine = letters[entry.name]
         cells = [_cell(entry, column) if kind == mine else "" for column in columns for kind in kinds]
         rows.append([entry.name, *cells])
+        spans = [_span(entry, column) if kind == mine else "" for column in columns for kind in kinds]
+        rows += [["  95 % interval", *spans]] if any(spans) else []
     return table(["", *head], rows)
+
+
+def _span(entry: ComparedResult, column: Column) -> str:
+    """The interval of a figure of the whole; empty where the result has none."""
+    span = None if column.part else at(entry.tree.get("intervals"), ("overall", *column.figure.split("/")))
+    if not isinstance(span, list) or len(span) != 2 or None in span:
+        return ""
+    return "-".join(f"{100 * bound:.1f}" if _unit(entry) else f"{bound:.3f}" for bound in span)
 
 
 def _cell(entry: ComparedResult, column: Column) -> str:
@@ -199,6 +209,8 @@ def _footer(members: list[ComparedResult], letters: Mapping[str, str], *, by_ran
     for letter, entry in firsts.items():
         mark = f"[{letter}] " if len(firsts) > 1 else ""
         lines.append(mark + convention_text(entry.tree, by_range=by_range))
+    if not by_range and any(at(entry.tree.get("intervals"), ("overall",)) for entry in members):
+        lines.append("95 % interval: of each row alone; rows on the same frames vary together: overlap decides nothing")
     lines += [f"row {entry.name}: {entry.subject}" for entry in members if entry.subject is not None]
     if not all(entry.same_data(members[0]) for entry in members):
         data = {entry.name: _data(entry) for entry in members}

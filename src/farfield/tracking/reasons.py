@@ -54,12 +54,8 @@ def reasons_for_few(detections: Detections, tracks: Detections, settings: Tracke
         )
     unposed = settings.ego_motion and not any(drive.world_T_frame is not None for drive in detections.drives)
     if unposed and len(detections.boxes) > 1:
-        reasons.append(
-            (
-                total // 4,
-                "no poses: from a moving car standing objects move in each frame (--data, --poses, --preset unposed)",
-            )
-        )
+        flags = "--poses, --preset unposed" if detections.drives else "--data, --poses, --preset unposed"
+        reasons.append((total // 4, f"no poses: from a moving car standing objects move in each frame ({flags})"))
     if not reasons:
         reasons.append(
             (

@@ -152,8 +152,10 @@ def with_drives(detections: Detections, drives: Sequence[Drive]) -> Detections:
         drives: The drives of a data set. Those without any of these frames are left out.
 
     Raises:
-        ConfigError: If there are no drives, or a frame of the detections is in none.
+        ConfigError: If there are no drives, or others than drives, or a frame of the detections is in none.
     """
+    if not all(isinstance(drive, Drive) for drive in drives):
+        raise ConfigError("drives: expected a data set's drives, data.drives(); got something else")
     if not drives:
         raise ConfigError(
             "data: expected drives, frames in the order of time; this data set has none. Leave --data out"
