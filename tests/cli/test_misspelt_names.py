@@ -55,3 +55,9 @@ def test_labels_beside_a_folder_of_clouds_are_named(folder: Path, capsys: pytest
     assert "there is drive (folder): open that, with labels.csv moved into it" in shown
     assert "own.yaml" not in shown.partition("One folder deeper")[2]
     assert len(shown.splitlines()) == 1
+
+
+def test_a_part_of_a_data_set_is_predicted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    assert main(["predict", "pointpillars-roads", "open-sweeps", "--split", "corner", "--dry-run"]) == 0
+    assert "would write the boxes of 8 frames" in capsys.readouterr().out

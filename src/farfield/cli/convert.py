@@ -159,7 +159,7 @@ def run(
     )
     if target is not None and target.is_dir() and to != "cache":
         leave_card(target, f"A data set in the layout {to}" if to != "radar-store" else "A radar store", dataset)
-    print(f"{outcome.written} written, {outcome.skipped} were there and intact.")
+    print(f"{outcome.written} written, {outcome.skipped} had been written before.")
 
 
 def _are_downloads(source: Path) -> bool:
@@ -204,4 +204,4 @@ def _convert_downloads(
     leave_card(target, "A radar store", target)
     for fault in outcome.faults:
         print(f"warning: {fault}", file=sys.stderr)
-    print(f"{outcome.written} written, {outcome.skipped} were there and intact.")
+    print(f"{outcome.written} written, {outcome.skipped} had been written before.")

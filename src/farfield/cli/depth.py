@@ -100,7 +100,7 @@ def run(
 def _said(written: int, skipped: int, summary: dict[str, Any]) -> str:
     methods = ", ".join(f"{name} {count}" for name, count in summary["methods"].items())
     lines = [
-        f"{written} written, {skipped} were there and intact.",
+        f"{written} written, {skipped} had been written before.",
         f"{summary['filled']:.0%} of the pixels filled ({methods}).",
         f"depth in metres = value / {summary['depth_scale']}, to {summary['end_m']:g} m; 0: none.",
     ]

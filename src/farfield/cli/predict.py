@@ -43,6 +43,7 @@ def run(
     ] = None,
     cloud: Annotated[str | None, tyro.conf.arg(aliases=["--clouds"])] = None,
     boxes: ShownBoxes = OWN_BOXES,
+    split: str = "",
     rotate_deg: float = 0.0,
     reference: str = "",
     reading: Reading = AS_THEY_ARE,
@@ -81,6 +82,7 @@ def run(
         cloud: Which of a data set's clouds (default: the first that suits the detector).
         boxes: Which boxes are written: those that load_detector gives with the same settings. Without
             --score-threshold the weights' own threshold counts, and pictures leave out boxes below 0.3.
+        split: train, val or test, or time-val and its like to cut each sequence in time (default: all frames).
         rotate_deg: Turn every frame counter-clockwise about z first.
         reference: Coordinates of the written boxes (default: those of the data), such as radar for a radar detector's
             own.
@@ -109,6 +111,7 @@ def run(
     )
     loaded = load_detector(detector, precision=precision, device=device, cloud=cloud, **boxes.options)
     frames = _frames(files, rotate_deg, reading)
+    frames = frames.split(split) if split else frames
     if out is not None:
         check_apart(out, frames)
     print_doubts(frames, cloud)

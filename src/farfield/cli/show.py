@@ -116,4 +116,4 @@ def _drawn(shown: "Frame", predicted: "Boxes | None", radar: bool, cloud: str | 
     shown_score = SHOWN_SCORE if least is None else least
     if radar:
         return radar_map(shown, shown_predictions(predicted, shown_score)[0])
-    return birdseye(shown, predicted, cloud=cloud, window_m="fit", shown_score=shown_score)
+    return birdseye(shown, predicted, cloud=cloud, shown_score=shown_score)

@@ -1,5 +1,6 @@
 """Bird's-eye pictures: points, annotated and predicted boxes on a grid of metres, forward to the right."""
 
+import textwrap
 from collections.abc import Collection, Sequence
 from importlib import import_module
 from itertools import pairwise
@@ -24,7 +25,7 @@ __all__ = ["birdseye", "draw_birdseye", "figure_bytes", "overview", "show_frame"
 
 Window = tuple[float, float, float, float]
 _POINT_DPI = 110  # pixels an inch of the points
-_TALLEST_IN = 8.0
+_TALLEST_IN, _TITLE_LETTERS_AN_INCH = 8.0, 11.5
 WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
 RANGES_M = (70.0, 150.0, 250.0)
 _NEAR_RINGS_M = (20.0, 40.0, 60.0, 80.0)
@@ -140,7 +141,7 @@ def draw_rings(axes: "Axes", window_m: Window, rings_m: Sequence[float], *, colo
         axes.plot(
             ring_m * np.cos(angle_rad), ring_m * np.sin(angle_rad), color=colour, lw=0.8, ls=(0, (1, 3)), zorder=2.5
         )
-        label_y = y_to - 0.035 * (y_to - y_from)
+        label_y = min(y_to - 0.035 * (y_to - y_from), 0.7 * ring_m)  # on the arc, ahead to the left
         label_x = np.sqrt(max(ring_m**2 - label_y**2, 0.0))
         if x_from < label_x < x_to:
             axes.annotate(
@@ -222,8 +223,10 @@ def overview(
     """The whole window in one picture; arguments as in :func:`draw_birdseye`, ``point`` is what a dot is."""
     with house_style():
         x_from, x_to, y_from, y_to = window_m
-        above_in, slope = 0.35 if title else 0.1, (y_to - y_from) / (x_to - x_from)
+        slope = (y_to - y_from) / (x_to - x_from)
         wide_in = min(10.2, _TALLEST_IN / slope)
+        title = textwrap.fill(title, int(_TITLE_LETTERS_AN_INCH * wide_in), break_on_hyphens=False)
+        above_in = 0.35 + 0.17 * title.count("\n") if title else 0.1
         figure = new_figure(wide_in + 0.8, 0.85 + above_in + wide_in * slope, fixed=True)
         _leave_room(figure, above_in=above_in)
         axes = figure.add_subplot()
@@ -328,7 +331,7 @@ def birdseye(
         window = cropped_window(points, frame.boxes, predictions)
     else:
         window = fit_window(points.points_m) if window_m == "fit" else window_m
-    title = f"{frame.sequence}, {frame.frame_id}" + (f", {cloud} pattern" if cloud else "")
+    title = f"{frame.sequence}, {frame.frame_id}" + (f", {cloud}" if cloud else "")
     if predictions is not None and frame.boxes is not None:
         annotated = frame.boxes[of_classes(frame.boxes, labels)]
         annotated = annotated[in_window(annotated.centre_m, window)]

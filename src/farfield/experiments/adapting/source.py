@@ -94,7 +94,7 @@ def simulation_of(learnt: TrainingHistory, frames: int, seed: int, name: str) ->
     if not recipe:
         raise ConfigError(
             f"adapt: expected labelled source frames, and {name} learnt from a real data set ({learnt.path}), which "
-            "cannot be simulated. Name it, or another that is labelled: --source DATA"
+            "cannot be simulated. Name its labelled data or others: --source DATA"
         )
     preset = find_preset(str(recipe["preset"]))
     sensors = recipe.get("sensors") or ",".join(preset.sensors)
