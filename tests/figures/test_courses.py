@@ -66,6 +66,19 @@ def test_the_page_says_how_far_it_is_and_what_is_wrong(tmp_path: Path, steps: in
     assert ("loss", "4", "0.5") in page.last
 
 
+def test_settings_are_in_words_and_guessing_is_named_where_it_is_drawn(tmp_path: Path) -> None:
+    settings = {"training.start": {"weights": "x", "freeze": []}, "training.far_sampling": 0.0, "commit": None}
+    page = CoursePage(title="run", steps=4, rows=ROWS, signs=[], settings=settings)
+    text = write_course(tmp_path / "course.html", page).read_text()
+    assert "<dd>weights: x, freeze: none</dd>" in text
+    assert "<dd>0</dd>" in text
+    assert "<dd>None</dd>" not in text
+    assert "guessing" not in text
+    two = [{**row, "held_accuracy": 0.6} for row in ROWS]
+    page = CoursePage(title="run", steps=4, rows=two, signs=[], settings={})
+    assert "Dashed: the accuracy of guessing." in write_course(tmp_path / "two.html", page).read_text()
+
+
 def test_a_run_that_has_not_begun_has_a_page(tmp_path: Path) -> None:
     page = CoursePage(title="run", steps=9, rows=[], signs=[], settings={})
     text = write_course(tmp_path / "course.html", page).read_text()

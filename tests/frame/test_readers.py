@@ -146,3 +146,15 @@ def test_velocities_that_do_not_turn_with_the_frame_are_found(monkeypatch: pytes
     monkeypatch.setattr(Boxes, "transform", lambda old, pose: turn(old, pose).replace(velocity_m_s=old.velocity_m_s))
     with pytest.raises(AssertionError, match="velocities of boxes, moved"):
         check_frame(frame)
+
+
+@pytest.mark.parametrize("name", ["kradar", "kradar-in-the-radars-frame", "cirrus"])
+def test_drives_have_the_poses_of_their_frames(name: str, tmp_path: Path) -> None:
+    """Tracks of simulated drives were kept in the sensor's coordinates, since only the frames had poses."""
+    data = READERS[name](tmp_path)
+    for drive in data.posed_drives():
+        poses = [data[int(index)].world_T_frame for index in drive.indices]
+        if any(pose is None for pose in poses):
+            assert drive.world_T_frame is None
+        else:
+            np.testing.assert_allclose(drive.world_T_frame, poses, atol=1e-9)

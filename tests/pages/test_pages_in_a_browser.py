@@ -87,7 +87,7 @@ def radar(folder: Path, evaluation: Evaluation) -> Path:
 
 
 def course(folder: Path, evaluation: Evaluation) -> Path:
-    page = CoursePage(title="run", steps=9, rows=ROWS, signs=["the rank falls"], settings={"detector": "second"})
+    page = CoursePage(title="run", steps=9, rows=ROWS, signs=["the rank falls"], settings={"detector": "second", "training.checkpoint_every_s": 60.0})
     return write_course(folder / "course.html", page)
 
 
@@ -118,6 +118,10 @@ def adapted(folder: Path, evaluation: Evaluation) -> Path:
 
 
 ROWS = [{"step": step, "loss": 2.0 / step, "validation": 0.5, "rank_source": 9.0} for step in range(1, 5)]
+WIDER_THAN_THEIR_ROOM = (
+    "[...document.querySelectorAll('dt')].filter((one) => one.scrollWidth > one.clientWidth + 1)"
+    ".map((one) => one.textContent)"
+)
 PAGES = [report, sync, privacy, statistics, comparison, odometry, radar, course, adapted]
 
 
@@ -137,6 +141,7 @@ def test_a_page_is_whole_and_axe_finds_nothing(
         for width, height in SIZES[::3]:
             page.set_viewport_size({"width": width, "height": height})
             assert layout_faults(page) == [], (width, height)
+            assert page.evaluate(WIDER_THAN_THEIR_ROOM) == [], (width, height)
         assert "\n".join(axe_faults(page)) == ""
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != "rgb(255, 255, 255)"
     page.emulate_media(media="print", color_scheme="dark")

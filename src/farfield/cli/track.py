@@ -104,7 +104,7 @@ def run(
     settings = with_options(preset_of(preset).changed(**changes), option)
     if data is not None:
         predictions = with_drives(
-            predictions, in_coordinates(reading.open(data, poses=poses), predictions.reference).drives()
+            predictions, in_coordinates(reading.open(data, poses=poses), predictions.reference).posed_drives()
         )
     if dry_run:
         would_write(

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, partial
@@ -60,6 +60,21 @@ def all_poses(poses: Iterable[Float[np.ndarray, "4 4"] | None]) -> Poses | None:
     listed = list(poses)
     present = [pose for pose in listed if pose is not None]
     return np.stack(present).astype(np.float64) if present and len(present) == len(listed) else None
+
+
+def poses_read(pose_of: Callable[[int], Float[np.ndarray, "4 4"] | None], indices: Indices) -> Poses | None:
+    """Poses of a drive's frames, each read from its file; None where one has none.
+
+    None too where a file is damaged, which is said when its frame is read. The first frame's is read alone first.
+
+    Args:
+        pose_of: Reads that of one frame.
+        indices: The drive's indices, in the order of time.
+    """
+    with suppress(FarfieldError, OSError):
+        if len(indices) and pose_of(int(indices[0])) is not None:
+            return all_poses(pose_of(int(index)) for index in indices)
+    return None
 
 
 def selected_rows(indices: Indices, positions: Mapping[int, Sequence[int]]) -> tuple[Indices, Indices]:
@@ -181,10 +196,10 @@ class Dataset(ABC):
         return tuple(zip(self.sequences, self.frame_ids, strict=True))
 
     def drives(self) -> tuple[Drive, ...]:
-        """The drives; none where the frames are shuffled, as KITTI's object set's are.
+        """The drives, without building a frame; none where the frames are shuffled, as KITTI's object set's are.
 
-        Times are given where they are known without reading every frame's files. Poses are given where all frames of
-        a drive have one; a reader that does not know them sooner builds its frames, clouds and images left unread.
+        Times are given where they are known without reading every frame's files, poses where all frames of a drive
+        have one.
         """
         keys = self.keys
         return tuple(
@@ -198,6 +213,15 @@ class Dataset(ABC):
             for name, indices in self.drive_indices().items()
         )
 
+    def posed_drives(self) -> tuple[Drive, ...]:
+        """The drives; where a view of the frames leaves their poses open, these are read from the frames."""
+        return tuple(
+            drive
+            if drive.world_T_frame is not None
+            else replace(drive, world_T_frame=poses_read(lambda index: self[index].world_T_frame, drive.indices))
+            for drive in self.drives()
+        )
+
     def drive_indices(self) -> Mapping[str, Indices]:
         """Indices of each drive's frames in the order of time: by sequence, unless a format knows better."""
         return by_sequence(self.sequences)
@@ -208,24 +232,8 @@ class Dataset(ABC):
         return None
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        """Pose of each of a drive's frames, (n, 4, 4): the frames' own, unless a reader knows them sooner.
-
-        None where one has none, and where a frame's files are damaged, which is said when that frame is read.
-        """
-        first = int(indices[0]) if len(indices) else -1
-        if first not in self._poses_by_first:
-            self._poses_by_first[first] = self._read_poses(indices) if first >= 0 else None
-        return self._poses_by_first[first]
-
-    @cached_property
-    def _poses_by_first(self) -> dict[int, Poses | None]:
-        """Poses that were read, by the index of a drive's first frame."""
-        return {}
-
-    def _read_poses(self, indices: Indices) -> Poses | None:
-        with suppress(FarfieldError, OSError):
-            if self.frame(int(indices[0])).world_T_frame is not None:
-                return all_poses(self.frame(int(index)).world_T_frame for index in indices)
+        """Pose of each of a drive's frames, (n, 4, 4), read without building them; None where one has none."""
+        del indices
         return None
 
     @cached_property

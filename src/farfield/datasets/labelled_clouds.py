@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.base import Dataset
+from farfield.datasets.base import Dataset, Indices, Poses, poses_read
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.json_labels import annotation_of
 from farfield.errors import DatasetError
@@ -111,6 +111,9 @@ class LabelledClouds(Dataset):
         """The pose of frame ``index`` in the world; None where that is not known."""
         del index
         return None
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        return poses_read(self.world_T_frame, indices)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""

@@ -39,17 +39,18 @@ def course_of(folder: Path, out: Path | None = None, *, title: str = "") -> Path
         steps=experiment.training.steps,
         rows=rows,
         signs=tuple(diagnose_log(rows)) if adapting else (),
-        settings={**_settings(experiment), **_held_out(folder)},
+        settings={**_settings(experiment), **_recorded(folder)},
     )
     return write_course(out or folder / PAGE_NAME, page)
 
 
-def _held_out(folder: Path) -> dict[str, str]:
-    """Which frames were validated on, and how many were taken out of the training for that."""
+def _recorded(folder: Path) -> dict[str, Any]:
+    """Where it ran, which frames were validated on, and how many were taken out for that."""
     path = folder / "provenance.json"
     try:
         record = read_json(path) if path.is_file() else {}
-        return {"validation": taken_out_text(record)} if record.get("held_out") else {}
+        own = dict(record.get("environment") or {})
+        return own | ({"validation": taken_out_text(record)} if record.get("held_out") else {})
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         fix = "Run the training's command again: it writes the file anew."
         expected = "the provenance of a training"

@@ -119,6 +119,11 @@ def courses(rows: Sequence[Row], panels: Sequence[CoursePanel]) -> "Figure | Non
     return figure
 
 
+def has_level(rows: Sequence[Row], panels: Sequence[CoursePanel]) -> bool:
+    """Whether a panel that is drawn has a line of its own at some value."""
+    return any(panel.level is not None and bool(columns_of(rows, panel, panels)) for panel in panels)
+
+
 def columns_of(rows: Sequence[Row], panel: CoursePanel, panels: Sequence[CoursePanel]) -> list[str]:
     """Columns of the log that a panel shows, in their order."""
     names = [name for name in dict.fromkeys(name for row in rows for name in row) if name not in _NOT_DRAWN]

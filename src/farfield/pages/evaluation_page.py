@@ -1,6 +1,5 @@
 """One self-contained HTML page: scores by range, curves, pictures and what made them. It needs no network."""
 
-import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -307,23 +306,8 @@ def _fact_name(name: str) -> str:
     return (f"{stem} ({unit})" if stem and unit in _UNITS else name).replace("_", " ")
 
 
-def _fact_text(value: Any) -> str:
-    if isinstance(value, bool) or value is None:
-        return {True: "yes", False: "no", None: "–"}[value]
-    if isinstance(value, float):
-        return f"{value:g}"
-    if isinstance(value, str | int):
-        return str(value)
-    if isinstance(value, list | tuple) and all(isinstance(item, str | int | float) for item in value):
-        return ", ".join(_fact_text(item) for item in value) or "none"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key}: {_fact_text(item)}" for key, item in value.items()) or "none"
-    return json.dumps(value, default=str)
-
-
 _FILTERS: dict[str, Callable[..., Any]] = {
     "range_name": range_name,
-    "shown": _fact_text,
     "fact_name": _fact_name,
     "pattern_title": report_text.pattern_title,
 }

@@ -1,5 +1,6 @@
 """Pages from the templates that lie in this folder."""
 
+import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -58,9 +59,24 @@ def render_template(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update({"count_of": count_of, **(filters or {})})
+    environment.filters.update({"count_of": count_of, "shown": fact_text, **(filters or {})})
     style = (home / "page.css").read_text(encoding="utf-8")
     return _with_contents(environment.get_template(name).render(style=style, **values))
+
+
+def fact_text(value: Any) -> str:
+    """A setting's value in words: numbers to six digits, lists and mappings by commas."""
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "–"}[value]
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, str | int):
+        return str(value)
+    if isinstance(value, list | tuple) and all(isinstance(item, str | int | float) for item in value):
+        return ", ".join(fact_text(item) for item in value) or "none"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key}: {fact_text(item)}" for key, item in value.items()) or "none"
+    return json.dumps(value, default=str)
 
 
 def _with_contents(page: str) -> str:

@@ -16,6 +16,7 @@ from farfield.figures.training_plots import (
     boxes_before_and_after,
     columns_of,
     courses,
+    has_level,
     score_histograms,
 )
 from farfield.files.atomic import write_text
@@ -349,8 +350,9 @@ def write_course(path: Path, page: CoursePage) -> Path:
         course = PageImage(
             figure_uri(figure),
             "Curves of the losses and of what else was logged over the steps",
-            "Every logged step; of long curves the mean of fifty stretches is drawn over the single steps. A dashed "
-            "line is what chance gives. docs/adaptation.md says how to read what a method logs.",
+            "Every logged step; over long curves their running mean."
+            + (" Dashed: the accuracy of guessing." if has_level(page.rows, RUN) else "")
+            + " docs/adaptation.md says how to read what a method logs.",
             "The course of the training",
         )
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from farfield.datasets.base import Dataset, Indices, all_known
+from farfield.datasets.base import Dataset, Indices, Poses, all_known, poses_read
 from farfield.datasets.calibration import CALIBRATION_NAMES, usable_cameras
 from farfield.datasets.cirrus.labels import RawLabels, annotation_from_labels, read_labels
 from farfield.datasets.cirrus.layout import (
@@ -177,6 +177,9 @@ class Cirrus(Dataset):
 
     def _times_of(self, indices: Indices) -> Indices | None:
         return all_known(time_of(self.entries[index].key) for index in indices)
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        return poses_read(lambda index: _pose(self.raw_labels(index)), indices)
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation
 
-from farfield.datasets.base import Dataset, Indices
+from farfield.datasets.base import Dataset, Indices, Poses, poses_read
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.tracklet_reading import (
     FRAME_LIST,
@@ -143,6 +143,13 @@ class KittiRaw(Dataset):
         times_ns = [self._time_ns(index, "middle") for index in np.asarray(indices).tolist()]
         return None if None in times_ns else np.array(times_ns, dtype=np.int64)
 
+    def _pose(self, index: int) -> Float[np.ndarray, "4 4"] | None:
+        drive = self._drive(index)
+        return placed(drive, self.frame_ids[index], self._first_record[drive])
+
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        return poses_read(self._pose, indices)
+
     def _time_ns(self, index: int, which: str) -> int | None:
         path = self._drive(index) / CLOUDS / _STAMPS[which]
         return stamp_of(path, self.frame_ids[index])
@@ -166,7 +173,7 @@ class KittiRaw(Dataset):
                 "lidar": Sensor(kind="lidar", frame_T_sensor=np.eye(4), time_ns=self._time_ns(index, "middle")),
                 **{name: camera_sensor(cameras.get(name), time) for name, time in times.items()},
             },
-            world_T_frame=placed(drive, frame_id, self._first_record[drive]),
+            world_T_frame=self._pose(index),
             load_annotation=partial(_annotation, self._reading(drive), frame_id) if labels.is_file() else None,
             metadata={"files": [str(path) for path in self.files(index)], "turn_ns": turn},
         )

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.base import Dataset, Indices, all_known
+from farfield.datasets.base import Dataset, Indices, Poses, all_known, poses_read
 from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, check_objects, sized_camera
 from farfield.datasets.maps import Coordinates, FrameMap, TransformedCloud
 from farfield.datasets.splits import SPLIT_SHARES
@@ -34,6 +34,7 @@ from farfield.frame import (
     Constant,
     Frame,
     Lazy,
+    Pose,
     Sensor,
     camera_sensor,
 )
@@ -64,6 +65,12 @@ class _Rig:
 
     def reference_T(self, sensor: Reference) -> Float[np.ndarray, "4 4"]:
         return np.asarray(np.linalg.inv(self.camera_T[self.reference]) @ self.camera_T[sensor])
+
+
+def _pose(rig: _Rig, world_T_camera: Mapping[str, Pose]) -> Pose | None:
+    """Where the reference sensor stands in the odometry's world; None where one of both is not known."""
+    posed = "odom" in world_T_camera and rig.reference in rig.camera_T
+    return world_T_camera["odom"] @ rig.camera_T[rig.reference] if posed else None
 
 
 class ViewOfDelft(Dataset):
@@ -189,6 +196,13 @@ class ViewOfDelft(Dataset):
         beside = [self._file(index, kind) for kind in ("image_2", "label_2", "pose")]
         return [*clouds, *(path for path in [*calibs, *beside] if path is not None)]
 
+    def _poses_of(self, indices: Indices) -> Poses | None:
+        def pose_of(index: int) -> Pose | None:
+            path = self._file(index, "pose")
+            return None if path is None else _pose(self._rig(index), read_camera_poses(path))
+
+        return poses_read(pose_of, indices)
+
     def frame(self, index: int) -> Frame:
         """Build frame ``index``.
 
@@ -200,7 +214,6 @@ class ViewOfDelft(Dataset):
         calib = rig.calib.get(rig.reference)
         cameras = {} if calib is None else {"camera": sized_camera(calib, image, size_px=IMAGE_PX)}
         world_T_camera = {} if pose is None else read_camera_poses(pose)
-        posed = "odom" in world_T_camera and rig.reference in rig.camera_T
         return Frame(
             sequence=self.sequences[index],
             frame_id=self.frame_ids[index],
@@ -210,7 +223,7 @@ class ViewOfDelft(Dataset):
             cameras=cameras,
             sensors=_sensors(rig, clouds, cameras, image is not None),
             load_annotation=self._labels(index, rig, cameras.get("camera")),
-            world_T_frame=world_T_camera["odom"] @ rig.camera_T[rig.reference] if posed else None,
+            world_T_frame=_pose(rig, world_T_camera),
             reference=self.reference,
             metadata=Lazy(self._metadata(index, world_T_camera)),
         )
