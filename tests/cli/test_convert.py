@@ -13,9 +13,9 @@ def street_root(tmp_path, rng):
 def test_convert_writes_then_skips(street_root, tmp_path, capsys):
     target = tmp_path / "kitti"
     assert main(["convert", str(street_root), str(target), "--to", "kitti"]) == 0
-    assert "3 written, 0 were there" in capsys.readouterr().out
+    assert "3 written, 0 had been written" in capsys.readouterr().out
     assert main(["convert", str(street_root), str(target), "--to", "kitti"]) == 0
-    assert "0 written, 3 were there" in capsys.readouterr().out
+    assert "0 written, 3 had been written" in capsys.readouterr().out
     assert len(open_dataset(target)) == 3
 
 

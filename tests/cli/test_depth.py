@@ -43,7 +43,7 @@ def test_the_example(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     words = ["depth", str(data), "--out", str(out), "--uncertainty", "--picture", str(picture), "--workers", "1"]
     assert main(words) == 0
     said = capsys.readouterr().out
-    assert f"{FRAMES} written, 0 were there" in said
+    assert f"{FRAMES} written, 0 had been written" in said
     assert "value / 256, to 255.996 m" in said
     maps = sorted((out / "depth").rglob("*.png"))
     assert len(maps) == FRAMES
@@ -54,7 +54,7 @@ def test_the_example(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert drawn.width > 1000
         assert np.asarray(drawn.convert("RGB")).std() > 30
     assert main([*words[:-2], "--workers", "2"]) == 0
-    assert f"0 written, {FRAMES} were there" in capsys.readouterr().out
+    assert f"0 written, {FRAMES} had been written" in capsys.readouterr().out
 
 
 def test_what_cannot_be_is_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,13 +49,13 @@ def test_converting_leaves_a_card(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 def test_sweeps_that_ship_and_data_in_a_tool_s_layout_are_told_apart(tmp_path: Path) -> None:
     """A card called the sweeps that ship somebody's own, and one's own clouds OpenPCDet's."""
-    leave_card(tmp_path, "Weights", Path("open-sweeps"), weights="/home/me/runs/first/weights.safetensors")
+    leave_card(tmp_path, "Weights", Path("open-sweeps"), weights=str(tmp_path / "first" / "weights.safetensors"))
     text = (tmp_path / CARD_NAME).read_text("utf-8")
     assert "Open Sweeps (open-sweeps)" in text
     assert "Apache-2.0 and BSD-3-Clause" in text
     assert "with its authors' licences and notices" in text
     assert "Weights at the start: weights.safetensors" in text
-    assert "/home/me" not in text
+    assert str(tmp_path) not in text
     own = write_card(tmp_path, what="Boxes", sources=[("openpcdet", tmp_path / "mine")], command=["predict"])
     assert "- Source: mine, data of one's own in the layout of " in own.read_text("utf-8")
     owners = write_card(tmp_path, what="Boxes", sources=[("cirrus", tmp_path / "c")], command=["predict"])

@@ -98,7 +98,7 @@ def test_the_data_set_opens_by_what_it_looks_like(survey: Path, tmp_path: Path) 
     (survey / "boxes.csv").unlink()
     assert not ff.open_dataset(survey)[0].has_annotation
     (tmp_path / "empty").mkdir()
-    with pytest.raises(DatasetError, match=r"survey: survey.txt beside"):
+    with pytest.raises(DatasetError, match=r"Looked for .*\bsurvey\b"):
         ff.open_dataset(tmp_path / "empty")
 
 

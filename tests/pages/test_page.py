@@ -79,7 +79,12 @@ def test_names_from_data_cannot_become_markup(page_text: str) -> None:
 
 
 def test_page_counts_found_objects(page_text: str) -> None:
-    assert page_text.count("2 of 3 annotated objects found within 2 m, 0 predictions without one") == 2
+    assert (
+        page_text.count(
+            "2 of 3 annotated objects of vehicle and large_vehicle found within 2 m, 0 predictions without one"
+        )
+        == 2
+    )
 
 
 def test_equal_evaluations_give_equal_pages(evaluation: Evaluation, page_text: str) -> None:

@@ -87,7 +87,13 @@ def radar(folder: Path, evaluation: Evaluation) -> Path:
 
 
 def course(folder: Path, evaluation: Evaluation) -> Path:
-    page = CoursePage(title="run", steps=9, rows=ROWS, signs=["the rank falls"], settings={"detector": "second", "training.checkpoint_every_s": 60.0})
+    page = CoursePage(
+        title="run",
+        steps=9,
+        rows=ROWS,
+        signs=["the rank falls"],
+        settings={"detector": "second", "training.checkpoint_every_s": 60.0},
+    )
     return write_course(folder / "course.html", page)
 
 

@@ -203,8 +203,9 @@ class _CountedPredictions:
 def _frames(files: tuple[Path, ...], rotate_deg: float, reading: ReadingFlags) -> "Dataset":
     from farfield.datasets.memory import CloudFiles
     from farfield.errors import DatasetError
+    from farfield.frame.cloud import CLOUD_SUFFIXES
 
-    if len(files) == 1 and not files[0].is_file():
+    if len(files) == 1 and not files[0].is_file() and files[0].suffix.lower() not in CLOUD_SUFFIXES:
         return reading.open(files[0], rotate_deg=rotate_deg)
     missing = [str(path) for path in files if not path.is_file()]
     if missing or not files:

@@ -21,7 +21,6 @@ from farfield.errors import ConfigError, DatasetError, did_you_mean
 from farfield.files.atomic import readable
 from farfield.files.remote_paths import RemotePath, as_path, list_anew
 from farfield.files.remote_stores import UNFINISHED
-from farfield.vocabulary.counts import count_of
 
 _EVERYWHERE = ("poses", "rotate_deg")  # options of every format
 _CLOUD_FLAGS = {
@@ -71,10 +70,12 @@ def open_dataset(path: Path | str, *, format: str | None = None, **options: Any)
     if format is None:
         held = sorted(entry.name for entry in root.iterdir())
         shown = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "") or "nothing"
+        texts = looked_for()
+        broken = "".join(f" {name}: {text}" for name, text in texts.items() if text.startswith("cannot be used"))
         hints = _unread(root) + _archived(root) + _inside(root)
         raise DatasetError(
-            f"{root}: recognised no data set. It holds: {shown}. {hints}{count_of(len(looked_for()), 'format')} were "
-            "looked for: farfield formats lists them, and farfield formats NAME what one is recognised by."
+            f"{root}: recognised no data set. It holds: {shown}. {hints}Looked for {', '.join(texts)}; "
+            f"farfield formats NAME says what one is recognised by.{broken}"
         )
     reader = find_format(format).load()
     own = _checked_options(format, reader, options)

@@ -237,7 +237,7 @@ def _lock_list(outputs: Path) -> int:
             return handle
         os.close(handle)
         if time.monotonic() > until:
-            raise ConfigError(f"{outputs}: expected to write this list alone, but another command does. Try again.")
+            raise ConfigError(f"{outputs}: expected a list that no other command holds, but one runs. Try again.")
         if not free:
             time.sleep(_PAUSE_S)
 

@@ -141,7 +141,7 @@ def _locked(out: Path, path: Path, file: bool, fix: str, waiting: Callable[[], o
         if not free or time.monotonic() > until:
             if time.monotonic() > until:
                 raise ConfigError(
-                    f"{out}: expected to write there alone, but another command does. "
+                    f"{out}: expected no other command that writes there, but one runs. "
                     f"{fix or 'Wait until it has ended, or name another place to write to.'}"
                 )
             time.sleep(_PAUSE_S)

@@ -346,7 +346,7 @@ def test_names_of_sequences() -> None:
 
 def test_other_trees_are_not_taken_for_k_radar(tmp_path: Path) -> None:
     (tmp_path / "1" / "velodyne").mkdir(parents=True)
-    with pytest.raises(DatasetError, match="kradar: <sequence>/os2-64"):
+    with pytest.raises(DatasetError, match=r"recognised no data set.*kradar"):
         open_dataset(tmp_path)
 
 

@@ -165,7 +165,7 @@ def test_a_lower_rate_makes_smaller_files_with_the_same_strong_cells(tree: Path,
 def test_several_workers_and_the_command_write_the_same_store(tree: Path, store: Path, tmp_path: Path, capsys) -> None:
     command = ["convert", str(tree), str(tmp_path), "--to", "radar-store", "--region", "narrow"]
     assert main([*command, "--workers", "2"]) == 0
-    assert "3 written, 0 were there" in capsys.readouterr().out
+    assert "3 written, 0 had been written" in capsys.readouterr().out
     for path in store.rglob("*.h5"):
         assert (tmp_path / path.relative_to(store)).read_bytes() == path.read_bytes()
     assert main([*command, "--verify"]) == 0

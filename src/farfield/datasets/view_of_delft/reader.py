@@ -197,11 +197,11 @@ class ViewOfDelft(Dataset):
         return [*clouds, *(path for path in [*calibs, *beside] if path is not None)]
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        def pose_of(index: int) -> Pose | None:
-            path = self._file(index, "pose")
-            return None if path is None else _pose(self._rig(index), read_camera_poses(path))
+        return poses_read(self._pose, indices)
 
-        return poses_read(pose_of, indices)
+    def _pose(self, index: int) -> Pose | None:
+        path = self._file(index, "pose")
+        return None if path is None else _pose(self._rig(index), read_camera_poses(path))
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``.
