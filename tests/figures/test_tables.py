@@ -51,7 +51,7 @@ def test_headline_and_scope_by_hand() -> None:
     results = {"gaussian": RESULT, "uniform": RESULT}
     shown = presentation_of(RESULT)
     assert report_text.headline(results, DDS, shown) == (
-        "Overall vehicle detection score (DDS, 1 is perfect): 0.50 (mAP 0.40) on the Gaussian pattern and "
+        "DDS of vehicle, all ranges together (1 is perfect): 0.50 (mAP 0.40) on the Gaussian pattern and "
         "0.50 (mAP 0.40) on the uniform pattern."
     )
     assert report_text.scope(results) == (
@@ -82,4 +82,4 @@ def test_a_headline_of_several_classes_is_named_by_its_figure() -> None:
     result = {"label": "vehicle, pedestrian", "figures": {}, "ap": {"vehicle": {"3d": {"0.3": 0.5}}}}
     presentation = replace(presentation_of(result), figures=("ap/vehicle/3d/0.3",))
     text = report_text.headline({"os2-64": result}, protocol, presentation)
-    assert text.startswith("Overall score (vehicle AP3D 0.3, 100 is perfect): 50.0 on os2-64.")
+    assert text.startswith("Vehicle AP3D 0.3, all ranges together (100 is perfect): 50.0 on os2-64.")

@@ -109,7 +109,7 @@ def test_other_protocols_have_pages_too() -> None:
         "settings": {"dontcare": "none"},
     }
     text = render_report(Evaluation(results={"mine": kitti}))
-    assert "Overall Car detection score (AP3D R40 moderate, 100 is perfect): 75.0 on mine." in text
+    assert "AP3D R40 moderate of Car, all ranges together (100 is perfect): 75.0 on mine." in text
     assert "What the score is made of" not in text
 
 

@@ -53,9 +53,10 @@ def headline(results: Results, protocol: Protocol, presentation: Presentation) -
             for n, value in reached_by_name.items()
         ]
     )
-    perfect = {"": ", 1 is perfect", "%": ", 100 is perfect"}.get(unit, "")
-    subject = "" if "," in label else f"{label} detection "  # of several classes, the score's name says which
-    first = f"Overall {subject}score ({protocol.presenter.title(score)}{perfect}): {reached}."
+    perfect = {"": " (1 is perfect)", "%": " (100 is perfect)"}.get(unit, "")
+    subject = "" if "," in label else f" of {label}"  # of several classes, the score's name says which
+    title = protocol.presenter.title(score)
+    first = f"{title[:1].upper()}{title[1:]}{subject}, all ranges together{perfect}: {reached}."
     best = max(reached_by_name, key=lambda name: reached_by_name[name])
     by_range = [(range_name(part), figure(results[best], score, part=part)) for part in part_names(results[best])]
     falls = [f"{_value(value, unit)} from {name}" for name, value in by_range if value is not None]
