@@ -117,7 +117,7 @@ class Registry(Generic[T]):
         if not points:
             names = ", ".join(self.names())
             raise ConfigError(
-                f"Expected a {self.what}, one of {names}; got {name!r}.{did_you_mean(name, self.names())}"
+                f"Expected a {self.what}, one of {names}; got {name!r}.{did_you_mean(str(name), self.names())}"
             )
         if len(points) > 1:
             packages = " and ".join(sorted(_package(point) for point in points))

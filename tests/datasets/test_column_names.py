@@ -60,3 +60,16 @@ def test_a_format_that_names_its_columns_says_so(tmp_path: Path) -> None:
     rows()[:, :4].tofile(tmp_path / "training" / "velodyne" / "000000.bin")
     with pytest.raises(FarfieldError, match=r"column_names.*its format names its columns"):
         ff.open_dataset(tmp_path, column_names=NAMES)
+
+
+def test_columns_in_another_order_share_one_scale(tmp_path: Path) -> None:
+    """Two sweeps of full scale 255, the second of values 0 and 1 alone, with a stamp before x."""
+    for number, brightest in enumerate((255, 1)):
+        own = rows()
+        strength = np.round(own[:, 4] * brightest)
+        stamps_ns = 1.7e18 + np.arange(len(own)) * 2e5
+        np.save(tmp_path / f"{number}.npy", np.column_stack([stamps_ns, own[:, :3].astype(float), strength]))
+    data = ff.open_dataset(tmp_path, column_names=("timestamp", "x", "y", "z", "intensity"))
+    np.testing.assert_allclose(data[0].cloud().points_m, rows()[:, :3])
+    assert data[0].cloud().intensity.max() == pytest.approx(1.0, abs=0.01)
+    assert data[1].cloud().intensity.max() == pytest.approx(1 / 255)

@@ -1,3 +1,5 @@
+import warnings
+
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, PolyCollection
@@ -74,6 +76,26 @@ def test_a_frame_is_cropped_to_sensor_points_and_boxes() -> None:
     tall = birdseye(Frame.of(Cloud(points[:, [1, 0, 2]])))
     assert tall.get_figheight() < 10
     assert birdseye(Frame.of(Cloud(np.zeros((0, 3))))).axes[0].get_xlim() == (0, 250)
+
+
+@pytest.mark.parametrize(
+    "window_m", [(0.0, 10.0, 0.0, 0.0), (0.0, 10.0, -500.0, 500.0), (0.0, 100.0, 60.0, 120.0), (0.0, 0.0, 0.0, 0.0)]
+)
+def test_any_window_has_a_picture(window_m: tuple[float, float, float, float]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # matplotlib widens axes without extent
+        figure = overview(CLOUD, annotated=CAR, window_m=window_m, rings_m=(20.0, 70.0), title="a long title " * 20)
+        figure.draw_without_rendering()
+    assert figure.get_figwidth() > 3
+    assert figure.get_figheight() < 20
+    shown = [text for text in figure.axes[0].texts if text.get_text().endswith(" m")]
+    assert all(window_m[2] < text.xy[1] < window_m[3] for text in shown)
+
+
+def test_points_without_place_are_not_cropped_to() -> None:
+    points = np.random.default_rng(2).uniform([0, -15, 0], [95, 15, 1], (500, 3))
+    points[::7] = np.nan
+    assert birdseye(Frame.of(Cloud(points))).axes[0].get_xlim() == (0, 100)
 
 
 def test_other_classes_are_grey() -> None:

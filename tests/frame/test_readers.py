@@ -148,11 +148,11 @@ def test_velocities_that_do_not_turn_with_the_frame_are_found(monkeypatch: pytes
         check_frame(frame)
 
 
-@pytest.mark.parametrize("name", ["kradar", "kradar-in-the-radars-frame", "cirrus"])
+@pytest.mark.parametrize("name", READERS)
 def test_drives_have_the_poses_of_their_frames(name: str, tmp_path: Path) -> None:
     """Tracks of simulated drives were kept in the sensor's coordinates, since only the frames had poses."""
     data = READERS[name](tmp_path)
-    for drive in data.posed_drives():
+    for drive in data.posed_drives() if data.maps else data.drives():
         poses = [data[int(index)].world_T_frame for index in drive.indices]
         if any(pose is None for pose in poses):
             assert drive.world_T_frame is None

@@ -55,6 +55,6 @@ def test_the_line_of_an_extra_runs_where_its_packages_are(extra: str, tmp_path: 
     done = subprocess.run(
         [sys.executable, "-c", SMOKE[extra]], cwd=tmp_path, capture_output=True, text=True, check=False
     )
-    if "No module named" in done.stderr:
+    if "No module named" in done.stderr and "No module named 'farfield" not in done.stderr:
         pytest.skip(done.stderr.strip().splitlines()[-1])
     assert done.returncode == 0, done.stderr

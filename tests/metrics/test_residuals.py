@@ -9,6 +9,7 @@ import pytest
 import farfield as ff
 from farfield.frame import Boxes, Frame
 from farfield.geometry.poses import pose_from_yaw
+from farfield.metrics.sanity import one_sided
 
 By = dict[tuple[str, str], Boxes]
 KINDS = np.array([[4.5, 1.9, 1.6], [4.2, 1.8, 1.5], [5.1, 2.1, 1.9]])
@@ -177,6 +178,30 @@ def test_brothers_of_those_errors_are_named(name: str) -> None:
     change, words = BROTHERS[name]
     notes = _notes(change(_good(_labels())), _labels())
     assert any(re.search(words, note) for note in notes), notes
+
+
+@pytest.mark.parametrize(
+    ("settings", "noted"),
+    [
+        ({"region": "none"}, True),
+        ({"region": "window", "window_m": (0, "inf", -50, 50), "range_bins_m": (0, 250)}, False),
+        ({"region": "window", "window_m": (-50, 250, -50, 50), "range_bins_m": (0, "inf")}, True),
+        ({"region": "wide"}, False),
+        ({"region": [0.0, 72.0, -16.0, 16.0, -2.0, 7.6]}, False),
+        ({"region": "range", "range_bins_m": (400, 500)}, False),
+        ({}, True),
+    ],
+)
+def test_a_side_without_boxes_is_named_where_it_is_scored(settings: dict[str, object], noted: bool) -> None:
+    """A detector that looks ahead was asked for the side behind, which its score leaves out."""
+    around = {
+        (key[0], f"{key[1]}{side}"): boxes.transform(pose_from_yaw(turn))
+        for key, boxes in _labels().items()
+        for side, turn in (("a", 0.0), ("b", np.pi))
+    }
+    ahead = {key: boxes[boxes.centre_m[:, 0] > 0] for key, boxes in around.items()}
+    notes = list(one_sided(ahead, around, settings))
+    assert any("behind the sensor" in note for note in notes) == noted, notes
 
 
 @pytest.mark.parametrize("noise_m", [0.6, 1.5])

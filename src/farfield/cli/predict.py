@@ -205,7 +205,8 @@ def _frames(files: tuple[Path, ...], rotate_deg: float, reading: ReadingFlags) -
     from farfield.errors import DatasetError
     from farfield.frame.cloud import CLOUD_SUFFIXES
 
-    if len(files) == 1 and not files[0].is_file() and files[0].suffix.lower() not in CLOUD_SUFFIXES:
+    alone = files[0] if len(files) == 1 else None
+    if alone is not None and (alone.is_dir() or not (alone.is_file() or alone.suffix.lower() in CLOUD_SUFFIXES)):
         return reading.open(files[0], rotate_deg=rotate_deg)
     missing = [str(path) for path in files if not path.is_file()]
     if missing or not files:

@@ -166,7 +166,9 @@ class CloudReading:
             with suppress(*_UNREADABLE):
                 if path.suffix.lower() not in MAP_SUFFIXES:
                     columns = read_columns(path, bin_columns=self.bin_columns)
-                    samples[path] = points_of(path, columns) if isinstance(columns, np.ndarray) else columns
+                    if isinstance(columns, np.ndarray) and not self.column_names:
+                        columns = points_of(path, columns)
+                    samples[path] = columns
                     continue
                 cloud = read_las(path)
                 own_m, words = origin_of(path, cloud)

@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,9 @@ def _no_folder(root: Path) -> str:
     if root.is_symlink() and not root.exists():
         return f"a link to {root.readlink()}, which is not there or leads in a circle."
     if not root.exists():
-        near = [entry.name for entry in root.parent.iterdir()] if root.parent.is_dir() else []
+        near: list[str] = []
+        with suppress(OSError):
+            near = [] if isinstance(root, RemotePath) else [one.name for one in root.parent.iterdir() if one.is_dir()]
         return f"nothing.{did_you_mean(root.name, [*near, open_sweeps.NAME])}"
     from farfield.files.bags import FILE_SUFFIXES
     from farfield.frame.cloud import CLOUD_SUFFIXES

@@ -25,7 +25,7 @@ __all__ = ["birdseye", "draw_birdseye", "figure_bytes", "overview", "show_frame"
 
 Window = tuple[float, float, float, float]
 _POINT_DPI = 110  # pixels an inch of the points
-_TALLEST_IN, _TITLE_LETTERS_AN_INCH = 8.0, 11.5
+_TALLEST_IN, _NARROWEST_IN, _TITLE_LETTERS_AN_INCH = 8.0, 3.0, 11.5
 WINDOW_M: Window = (0.0, 250.0, -50.0, 50.0)
 RANGES_M = (70.0, 150.0, 250.0)
 _NEAR_RINGS_M = (20.0, 40.0, 60.0, 80.0)
@@ -143,7 +143,7 @@ def draw_rings(axes: "Axes", window_m: Window, rings_m: Sequence[float], *, colo
         )
         label_y = min(y_to - 0.035 * (y_to - y_from), 0.7 * ring_m)  # on the arc, ahead to the left
         label_x = np.sqrt(max(ring_m**2 - label_y**2, 0.0))
-        if x_from < label_x < x_to:
+        if x_from < label_x < x_to and y_from < label_y < y_to:
             axes.annotate(
                 f"{ring_m:g} m",
                 (label_x, label_y),
@@ -223,8 +223,9 @@ def overview(
     """The whole window in one picture; arguments as in :func:`draw_birdseye`, ``point`` is what a dot is."""
     with house_style():
         x_from, x_to, y_from, y_to = window_m
-        slope = (y_to - y_from) / (x_to - x_from)
-        wide_in = min(10.2, _TALLEST_IN / slope)
+        slope = max((y_to - y_from) / max(x_to - x_from, 1e-3), 1e-3)
+        wide_in = max(min(10.2, _TALLEST_IN / slope), _NARROWEST_IN)
+        slope = min(slope, _TALLEST_IN / wide_in)
         title = textwrap.fill(title, int(_TITLE_LETTERS_AN_INCH * wide_in), break_on_hyphens=False)
         above_in = 0.35 + 0.17 * title.count("\n") if title else 0.1
         figure = new_figure(wide_in + 0.8, 0.85 + above_in + wide_in * slope, fixed=True)
@@ -396,14 +397,16 @@ def fit_window(points_m: Float[np.ndarray, "n 3"]) -> Window:
 def cropped_window(cloud: Cloud, *boxes: Boxes | None) -> Window:
     """The window of the sensor, the boxes and all points but a few of the outermost, in whole tens of metres."""
     corners_m = [part.bev_corners_m().reshape(-1, 2) for part in boxes if part is not None and len(part)]
-    edges_m = [np.percentile(cloud.points_m[:, :2], share, axis=0) for share in _CROPPED] if len(cloud) else []
+    points_m = cloud.points_m[np.isfinite(cloud.points_m[:, :2]).all(axis=1), :2]
+    edges_m = [np.percentile(points_m, share, axis=0) for share in _CROPPED] if len(points_m) else []
     if not corners_m and not edges_m:
         return WINDOW_M
     shown_m = np.concatenate([np.zeros((1, 2)), *corners_m, *(edge[None] for edge in edges_m)])
-    shown_m = shown_m[np.isfinite(shown_m).all(axis=1)].clip(-WINDOW_M[1], WINDOW_M[1])
+    shown_m = shown_m[np.isfinite(shown_m).all(axis=1)].clip(-_FARTHEST_SHOWN_M, _FARTHEST_SHOWN_M)
     return fit_window(np.column_stack([shown_m, np.zeros(len(shown_m))]))
 
 
+_FARTHEST_SHOWN_M = 500.0
 _CROPPED = (0.5, 99.5)  # per cent of a cloud's points, along each axis
 
 

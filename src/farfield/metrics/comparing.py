@@ -178,8 +178,14 @@ def _layout(members: list[ComparedResult], columns: list[Column], letters: Mappi
         cells = [_cell(entry, column) if kind == mine else "" for column in columns for kind in kinds]
         rows.append([entry.name, *cells])
         spans = [_span(entry, column) if kind == mine else "" for column in columns for kind in kinds]
-        rows += [["  95 % interval", *spans]] if any(spans) else []
+        rows += [[f"  {_level(entry):.0%} interval", *spans]] if any(spans) else []
     return table(["", *head], rows)
+
+
+def _level(entry: ComparedResult) -> float:
+    """How much of the drawn scores an interval holds."""
+    level = at(entry.tree.get("settings"), ("bootstrap", "level"))
+    return float(level) if isinstance(level, float | int) else 0.95
 
 
 def _span(entry: ComparedResult, column: Column) -> str:
@@ -197,6 +203,11 @@ def _cell(entry: ComparedResult, column: Column) -> str:
     return f"{100 * value:.2f}" if _unit(entry) else f"{value:.4f}"
 
 
+def _spans_of(entry: ComparedResult) -> list[str]:
+    """The intervals of the main figures."""
+    return [_span(entry, Column("", figure)) for figure in entry.protocol.presenter.presentation(entry.tree).figures]
+
+
 def _unit(entry: ComparedResult) -> str:
     return ", per cent" if entry.protocol.presenter.per_cent else ""
 
@@ -209,8 +220,8 @@ def _footer(members: list[ComparedResult], letters: Mapping[str, str], *, by_ran
     for letter, entry in firsts.items():
         mark = f"[{letter}] " if len(firsts) > 1 else ""
         lines.append(mark + convention_text(entry.tree, by_range=by_range))
-    if not by_range and any(at(entry.tree.get("intervals"), ("overall",)) for entry in members):
-        lines.append("95 % interval: of each row alone; rows on the same frames vary together: overlap decides nothing")
+    if not by_range and any(any(_spans_of(entry)) for entry in members):
+        lines.append("intervals are of each row alone: of rows on the same frames, overlapping ones do not decide")
     lines += [f"row {entry.name}: {entry.subject}" for entry in members if entry.subject is not None]
     if not all(entry.same_data(members[0]) for entry in members):
         data = {entry.name: _data(entry) for entry in members}

@@ -295,7 +295,7 @@ class Result:
 
 def tables_of(results: Sequence[Result]) -> str:
     """Several results one after another; what all say of convention and intervals stands once, below the last."""
-    shared = set(results[-1].footer_lines()) if results else set()
+    shared = set.intersection(*(set(result.footer_lines()) for result in results)) if results else set()
     texts = []
     for result in results[:-1]:
         own = [line for line in result.footer_lines() if line not in shared]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from farfield.frame.drive import Key
 from farfield.geometry.boxes import Boxes
@@ -16,6 +16,7 @@ from farfield.metrics.frames import BoxesByFrame, count_labels
 from farfield.metrics.readings import diagnose_box_convention, nearest_rows
 from farfield.vocabulary.classes import closest_class, normalised_class, unit_of_sizes
 from farfield.vocabulary.counts import count_of
+from farfield.vocabulary.kradar import REGIONS_M
 
 _TURN = 2 * np.pi
 _FEW = 0.05  # share of headings beyond a turn that a tracker's unwrapping may leave
@@ -168,17 +169,16 @@ def one_sided(predicted: BoxesByFrame, annotated: BoxesByFrame, settings: Mappin
     """
     centres_m = _places(_joined(predicted.values()))
     annotated_m = _places(_joined(annotated.values()))
+    annotated_m = annotated_m[_in_scored_region(annotated_m, settings)]
     if min(len(centres_m), len(annotated_m)) < _MANY:
         return
-    low_m, high_m = _bounds_m(settings)
-    annotated_m = annotated_m[((annotated_m[:, :2] >= low_m) & (annotated_m[:, :2] <= high_m)).all(axis=1)]
     for words, axis, sign in (
         ("ahead of", 0, 1),
         ("behind", 0, -1),
         ("to the left of", 1, 1),
         ("to the right of", 1, -1),
     ):
-        share = float((sign * annotated_m[:, axis] > 1).mean()) if len(annotated_m) else 0.0
+        share = float((sign * annotated_m[:, axis] > 1).mean())
         if share > 0.1 and not (sign * centres_m[:, axis] > 1).any():
             yield (
                 f"no predicted box lies {words} the sensor, where {share:.0%} of the annotated ones in the region that "
@@ -186,14 +186,20 @@ def one_sided(predicted: BoxesByFrame, annotated: BoxesByFrame, settings: Mappin
             )
 
 
-def _bounds_m(settings: Mapping[str, Any]) -> tuple[list[float], list[float]]:
-    """Lowest and highest x and y of the region that counts; infinite where it names none."""
-    region, window_m = settings.get("region"), settings.get("window_m") or ()
-    if region == "window" and len(window_m) == 4:
-        return list(window_m[::2]), list(window_m[1::2])
-    if isinstance(region, Sequence) and not isinstance(region, str) and len(region) >= 4:  # K-Radar's: x, y, z
-        return list(region[:4:2]), list(region[1:4:2])
-    return [-np.inf, -np.inf], [np.inf, np.inf]
+def _in_scored_region(boxes_m: Float[np.ndarray, "n 7"], settings: Mapping[str, Any]) -> Bool[np.ndarray, " n"]:
+    """Which boxes lie in the region that a result's settings name, seen from above; all where they name none."""
+    region, edges = settings.get("region"), settings.get("range_bins_m") or ()
+    inside = np.ones(len(boxes_m), dtype=bool)
+    if region in ("window", "range") and edges:
+        range_m = np.hypot(boxes_m[:, 0], boxes_m[:, 1])
+        inside &= (range_m >= float(edges[0])) & (range_m <= float(edges[-1]))
+    named = REGIONS_M.get(region, ()) if isinstance(region, str) else region
+    bounds = (settings.get("window_m") or ()) if region == "window" else named
+    if isinstance(bounds, Sequence) and len(bounds) >= 4:  # x and y; K-Radar's regions have z besides
+        for column in range(2):
+            low, high = map(float, bounds[2 * column : 2 * column + 2])
+            inside &= (boxes_m[:, column] >= low) & (boxes_m[:, column] <= high)
+    return inside
 
 
 def _order_of_scores(predicted: BoxesByFrame, annotated: BoxesByFrame) -> Iterator[str]:

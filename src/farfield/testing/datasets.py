@@ -71,8 +71,6 @@ def check_drives(data: Dataset) -> None:
         if drive.world_T_frame is not None:
             for pose, frame in zip(drive.world_T_frame, frames, strict=True):
                 assert_same(frame.world_T_frame, pose, atol=1e-7, where=f"{frame.key}: pose, which its drive has too")
-        elif not data.maps:
-            assert any(frame.world_T_frame is None for frame in frames), f"{named}: its frames have poses that it lacks"
 
 
 def check_views(data: Dataset) -> None:

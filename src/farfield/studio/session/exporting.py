@@ -98,7 +98,8 @@ def write_page(data: Dataset, settings: StudioSettings, frames: Sequence[str], p
     try:
         session.open(data)
         indices = tuple(first_of(frame, data) for frame in frames or ("",))
-        detect_in(session, indices[:MOST_FRAMES])
+        if len(indices) <= MOST_FRAMES:  # else they are refused below
+            detect_in(session, indices)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page_of(session, ClientWindow(id="file", annotator="", threshold=settings.threshold), indices))
     finally:
