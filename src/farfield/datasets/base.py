@@ -62,7 +62,7 @@ def all_poses(poses: Iterable[Float[np.ndarray, "4 4"] | None]) -> Poses | None:
     return np.stack(present).astype(np.float64) if present and len(present) == len(listed) else None
 
 
-def poses_read(pose_of: Callable[[int], Float[np.ndarray, "4 4"] | None], indices: Indices) -> Poses | None:
+def drive_poses(pose_of: Callable[[int], Float[np.ndarray, "4 4"] | None], indices: Indices) -> Poses | None:
     """Poses of a drive's frames, each read from its file; None where one has none.
 
     None too where a file is damaged, which is said when its frame is read. The first frame's is read alone first.
@@ -218,7 +218,7 @@ class Dataset(ABC):
         return tuple(
             drive
             if drive.world_T_frame is not None
-            else replace(drive, world_T_frame=poses_read(lambda index: self[index].world_T_frame, drive.indices))
+            else replace(drive, world_T_frame=drive_poses(lambda index: self[index].world_T_frame, drive.indices))
             for drive in self.drives()
         )
 

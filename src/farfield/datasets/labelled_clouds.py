@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.base import Dataset, Indices, Poses, poses_read
+from farfield.datasets.base import Dataset, Indices, Poses, drive_poses
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.json_labels import annotation_of
 from farfield.errors import DatasetError
@@ -113,7 +113,7 @@ class LabelledClouds(Dataset):
         return None
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        return poses_read(self.world_T_frame, indices)
+        return drive_poses(self.world_T_frame, indices)
 
     def files(self, index: int) -> Sequence[Path]:
         """List the files of frame ``index``."""

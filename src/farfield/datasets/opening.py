@@ -189,7 +189,7 @@ def _inside(root: Path) -> str:
 
 def _holds_labels(path: Path) -> bool:
     """Whether a name is one of labels: of a table, or of a folder of files."""
-    is_table = path.suffix.lower() in {".csv", ".json"} and path.is_file()
+    is_table = path.suffix.lower() == ".csv" and path.is_file()
     return is_table or any(word in path.name.lower() for word in ("label", "annotation", "boxes"))
 
 

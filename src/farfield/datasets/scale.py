@@ -189,7 +189,7 @@ class ScaleAi(Dataset):
         ]
 
     def _beside(self, folder: Path, folders: Sequence[Path], kind: str) -> list[Path]:
-        """Answers or tasks of a folder of frames: in it, or above it, there named like it where folders share it."""
+        """Answers or tasks of a folder of frames: in it, or above it, named like it where it is one of several."""
         for above in _upwards(folder, self.root):
             paths = [path for path in _jsons(above) if _kind(_head(path)) == kind]
             if kind == "answer" and self.answer:

@@ -121,9 +121,9 @@ def _taken(error: Exception) -> str:
     )
 
 
-# The number type in which a network runs on a processor: what the processor multiplies itself, or a measurement.
+# The number type in which a network runs on a processor: what it has instructions for, or a measurement.
 #
-# Processors with AMX or AVX-512 BF16 multiply bfloat16 themselves, twice as many numbers at a time; those without
+# Processors with AMX or AVX-512 BF16 have instructions for bfloat16, twice as many numbers at a time; those without
 # AVX-512 do not. In between, with AVX-512 alone, oneDNN computes bfloat16 by float32's units, and which is faster
 # depends on the processor and on what the network mostly does: there both are timed, once, and the answer is kept.
 

@@ -93,8 +93,8 @@ class Detector(TrainedDetector):
         network: The network; a folded copy in evaluation mode is kept.
         provenance: What is known of its training.
         device: Where to run; by default, and for ``"auto"``, a GPU if there is one, else the CPU.
-        precision: ``"fp32"``, ``"bf16"``, ``"fp16"`` or ``"auto"``: what the device multiplies itself, for the
-            reason that ``why_precision`` gives.
+        precision: ``"fp32"``, ``"bf16"``, ``"fp16"`` or ``"auto"``: bf16 where the device has
+            instructions for it, else fp32; ``why_precision`` says why.
         cloud: Which of a frame's clouds to read, for a network of several inputs one for each; by default one that it
             learnt from, where a frame has none of them its first that fits.
         score_threshold: Boxes below are not given (default: this and the following are the weights' own).

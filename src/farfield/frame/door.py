@@ -24,7 +24,7 @@ FRAME_TAKES = (
 _FARTHEST_M, _NEAREST_M = 1000.0, 1.0
 """Half of the points of a sweep lie nearer than the first; the farthest lies farther than the second."""
 _LEAST_ROWS = 50
-"""Below so many points nothing is said of their units."""
+"""With fewer points their units are not judged."""
 
 
 def frame_of(value: Any, *, frame_id: str = "0", sequence: str = "memory") -> Frame:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from farfield.datasets.base import Dataset, Indices, Poses, all_known, poses_read
+from farfield.datasets.base import Dataset, Indices, Poses, all_known, drive_poses
 from farfield.datasets.calibration import CALIBRATION_NAMES, usable_cameras
 from farfield.datasets.cirrus.labels import RawLabels, annotation_from_labels, read_labels
 from farfield.datasets.cirrus.layout import (
@@ -179,7 +179,7 @@ class Cirrus(Dataset):
         return all_known(time_of(self.entries[index].key) for index in indices)
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        return poses_read(lambda index: _pose(self.raw_labels(index)), indices)
+        return drive_poses(lambda index: _pose(self.raw_labels(index)), indices)
 
     def frame(self, index: int) -> Frame:
         """Build frame ``index``."""

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation
 
-from farfield.datasets.base import Dataset, Indices, Poses, poses_read
+from farfield.datasets.base import Dataset, Indices, Poses, drive_poses
 from farfield.datasets.cloud_reading import CloudReading
 from farfield.datasets.labels.tracklet_reading import (
     FRAME_LIST,
@@ -148,7 +148,7 @@ class KittiRaw(Dataset):
         return placed(drive, self.frame_ids[index], self._first_record[drive])
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        return poses_read(self._pose, indices)
+        return drive_poses(self._pose, indices)
 
     def _time_ns(self, index: int, which: str) -> int | None:
         path = self._drive(index) / CLOUDS / _STAMPS[which]

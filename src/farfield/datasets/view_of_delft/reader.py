@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from farfield.datasets.base import Dataset, Indices, Poses, all_known, poses_read
+from farfield.datasets.base import Dataset, Indices, Poses, all_known, drive_poses
 from farfield.datasets.kitti.boxes import annotation_of, camera_from_calib, check_objects, sized_camera
 from farfield.datasets.maps import Coordinates, FrameMap, TransformedCloud
 from farfield.datasets.splits import SPLIT_SHARES
@@ -197,7 +197,7 @@ class ViewOfDelft(Dataset):
         return [*clouds, *(path for path in [*calibs, *beside] if path is not None)]
 
     def _poses_of(self, indices: Indices) -> Poses | None:
-        return poses_read(self._pose, indices)
+        return drive_poses(self._pose, indices)
 
     def _pose(self, index: int) -> Pose | None:
         path = self._file(index, "pose")
